@@ -1,0 +1,43 @@
+"""Koopman identification of nonlinear systems, at the example of the twin rotor aerodynamic system (TRAS).
+
+The public names are loaded on first use, so that ``import tras`` costs nothing and a script that only simulates the
+plant never waits for scikit-learn or xarray.
+"""
+
+import importlib
+
+__version__ = "0.1.0"
+
+# Public name -> module that holds it. `tras/staleness.py` reads this table too: keep it a plain dict of strings.
+_ROOMS = {
+    "PlantParameters": "plant",
+    "vector_field": "plant",
+    "jacobian": "plant",
+    "rest_point": "plant",
+    "simulate_plant": "plant",
+    "multisine": "excitation",
+    "steps": "excitation",
+    "chirp": "excitation",
+    "Recording": "recording",
+    "PID": "closed_loop",
+    "simulate_closed_loop": "closed_loop",
+    "Monomials": "dictionary",
+    "GaussianRBF": "dictionary",
+    "KoopmanModel": "model",
+    "load_model": "model",
+    "metrics": "metrics",
+}
+
+__all__ = [*_ROOMS, "__version__"]
+
+
+def __getattr__(name):
+    room = _ROOMS.get(name)
+    if room is None:
+        raise AttributeError(f"module 'tras' has no attribute {name!r}; it has {', '.join(sorted(_ROOMS))}")
+    module = importlib.import_module(f"tras.{room}")
+    return module if name == room else getattr(module, name)
+
+
+def __dir__():
+    return sorted({*globals(), *__all__})

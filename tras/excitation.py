@@ -1,0 +1,132 @@
+"""Reference signals: multisines for identification (paper, "Controlled input"), steps and chirps for validation.
+
+All return (samples, channels) on the grid 0, dt, ..., duration, both ends included, so 500 s at 0.01 s are 50001 samples.
+"""
+
+import math
+
+import numpy as np
+
+# The paper's excitation, in the order of the plant's inputs (pitch, yaw). "0.8 and 0.2 rad/cycle" is read as rad/s.
+PITCH_MAX_FREQUENCY, YAW_MAX_FREQUENCY = 0.2, 0.8  # rad/s
+PITCH_PEAK, YAW_PEAK = 1.22173, math.pi  # rad
+
+
+def multisine(duration, dt, max_frequency, peak, rng, *, max_correlation=0.05, draws=1000):
+    """Random-phase multisines, one a channel: flat spectrum, low crest factor, hardly correlated.
+
+    Channel ``i`` is the sum of cosines at the lines ``2 pi k / duration``, ``k = 1, 2, ...`` up to ``max_frequency[i]``, all of
+    the same amplitude, with random phases (R. Pintelon and J. Schoukens, *System Identification*, 2nd ed., Sec. 5.3).
+    Of ``draws`` sets of phases the one with the lowest crest factor is kept among those whose correlation with the channels
+    before it is small enough ("we reduced the correlation"). The signal has zero mean, its period is ``duration``.
+
+    Parameters
+    ----------
+    duration, dt : float
+        Period and sampling time in s; ``duration`` is a whole number of samples.
+    max_frequency : sequence of float
+        Highest frequency of each channel in rad/s.
+    peak : sequence of float
+        Largest absolute value of each channel, in the channel's unit.
+    rng : numpy.random.Generator
+    max_correlation : float
+        Largest absolute correlation coefficient between two channels over one period.
+    draws : int
+        Phase sets tried for each channel.
+
+    Returns
+    -------
+    (samples, channels) ndarray
+
+    Raises
+    ------
+    ValueError
+        If a channel has no line, a line is not below the Nyquist frequency, or no draw is uncorrelated enough.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> r = multisine(500, 0.01, [0.2, 0.8], [1.22173, np.pi], np.random.default_rng(1))
+    >>> r.shape, np.abs(r).max(axis=0).round(5).tolist()
+    ((50001, 2), [1.22173, 3.14159])
+    """
+    samples = grid(duration, dt)
+    max_frequency, peak = np.atleast_1d(max_frequency), np.atleast_1d(peak)
+    if max_frequency.shape != peak.shape:
+        raise ValueError(f"max_frequency has {max_frequency.size} channels but peak has {peak.size}; give one of each a channel.")
+    lines = [multisine_lines(duration, dt, top) for top in max_frequency]
+    points = min(samples - 1, 16 * max(lines))  # enough to judge crest factors; correlations are exact on it
+    chosen = []
+    for i, count in enumerate(lines):
+        phases = 2 * np.pi * rng.random((draws, count))
+        candidates = _cosines(phases, points)
+        small = [np.abs(candidates @ other) <= max_correlation * points / 2 * math.sqrt(count * len(phase)) for phase, other in chosen]
+        crest = np.where(np.all(small, axis=0), np.abs(candidates).max(axis=1), np.inf)
+        best = int(np.argmin(crest))
+        if not np.isfinite(crest[best]):
+            raise ValueError(
+                f"max_correlation = {max_correlation}: none of {draws} draws of channel {i} is that little correlated "
+                "with the channels before it; raise max_correlation or draws."
+            )
+        chosen.append((phases[best], candidates[best]))
+    signals = np.column_stack([_cosines(phase, samples - 1) for phase, _ in chosen])
+    return np.vstack([signals, signals[:1]]) * (peak / np.abs(signals).max(axis=0))
+
+
+def multisine_lines(duration, dt, max_frequency):
+    """Number of lines ``2 pi k / duration <= max_frequency`` (rad/s): 63 for 0.8 rad/s and 15 for 0.2 rad/s over 500 s."""
+    lines = math.floor(max_frequency * duration / (2 * math.pi) * (1 + 1e-12))
+    if lines < 1:
+        raise ValueError(
+            f"max_frequency = {max_frequency} rad/s is below the first line 2 pi / duration = "
+            f"{2 * math.pi / duration:.4g} rad/s; raise it or the duration."
+        )
+    if 2 * lines >= grid(duration, dt) - 1:
+        raise ValueError(f"max_frequency = {max_frequency} rad/s is not below pi / dt = {math.pi / dt:.4g} rad/s; lower it or dt.")
+    return lines
+
+
+def steps(duration, dt, peak, rng, *, shortest=4.0, longest=10.0):
+    """Random levels within ``+-peak``, each held for a random time between ``shortest`` and ``longest`` seconds.
+
+    Channels change at times of their own. Parameters and result as for `multisine`.
+    """
+    samples = grid(duration, dt)
+    if not 0 < shortest <= longest:
+        raise ValueError(f"shortest = {shortest} s and longest = {longest} s; give 0 < shortest <= longest.")
+    signals = []
+    for height in np.atleast_1d(peak):
+        holds = rng.uniform(shortest, longest, size=math.ceil(duration / shortest) + 1)
+        levels = rng.uniform(-height, height, size=holds.size)
+        signals.append(levels[np.searchsorted(np.cumsum(holds), np.arange(samples) * dt, side="right")])
+    return np.column_stack(signals)
+
+
+def chirp(duration, dt, max_frequency, peak):
+    """Sines whose frequency rises linearly from 0 to ``max_frequency`` (rad/s), one a channel, no randomness.
+
+    Odd channels are cosines, so that two channels with the same sweep are not the same signal.
+    """
+    t = np.arange(grid(duration, dt)) * dt
+    angle = np.multiply.outer(t**2, np.atleast_1d(max_frequency)) / (2 * duration)
+    angle[:, 1::2] += np.pi / 2
+    return np.sin(angle) * np.atleast_1d(peak)
+
+
+def grid(duration, dt):
+    """Number of samples 0, dt, ..., duration; ``duration`` must be a whole number of ``dt``."""
+    for name, value in (("duration", duration), ("dt", dt)):
+        if not (math.isfinite(value) and value > 0):
+            raise ValueError(f"{name} is {value}; give a positive time in s.")
+    intervals = round(duration / dt)
+    if intervals < 1 or abs(intervals * dt - duration) > 1e-9 * duration:
+        raise ValueError(f"duration = {duration} s is not a whole number of samples of dt = {dt} s; change one of them.")
+    return intervals + 1
+
+
+def _cosines(phases, points):
+    """Sums of unit cosines at lines 1, 2, ... with the given phases (..., lines), over one period: (..., points)."""
+    lines = phases.shape[-1]
+    spectrum = np.zeros((*phases.shape[:-1], points // 2 + 1), dtype=complex)
+    spectrum[..., 1 : lines + 1] = np.exp(1j * phases)
+    return np.fft.irfft(spectrum, n=points, axis=-1) * (points / 2)

@@ -1,0 +1,46 @@
+"""Files that are either whole or not there: write to a temporary name in the same folder, then move into place."""
+
+import contextlib
+import os
+import tempfile
+from pathlib import Path
+
+
+@contextlib.contextmanager
+def replacing(path):
+    """A temporary path beside ``path`` to write to; moved onto ``path`` when the block ends well, removed otherwise.
+
+    The temporary name keeps the suffix, because writers such as matplotlib and NumPy choose the format by it.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written (no permission, disk full); the sentence names the final path.
+
+    Examples
+    --------
+    >>> folder = tempfile.mkdtemp()
+    >>> with replacing(Path(folder) / "a.txt") as temporary:
+    ...     _ = temporary.write_text("whole")
+    >>> os.listdir(folder)
+    ['a.txt']
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        temporary.chmod(0o666 & ~_umask())  # mkstemp is private; a result is not
+        os.replace(temporary, path)
+    except OSError as error:
+        raise OSError(error.errno, f"{path} could not be written ({error.strerror or error}); nothing was left under that name") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _umask():
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
