@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tras.plant import STATE_NAMES, STATE_UNITS, TORQUE_NAMES, TORQUE_UNITS, PlantParameters, stepper
+from tras.recording import Recording, versions
 
 REFERENCE_NAMES = ("phi_ref", "psi_ref")
 REFERENCE_UNITS = ("rad", "rad")
@@ -88,8 +89,6 @@ def simulate_closed_loop(reference, dt, parameters=None, *, controllers=None, x0
     ValueError
         On wrong shapes or values.
     """
-    from tras.recording import Recording  # here, so that a plain simulation does not wait for it
-
     parameters = parameters or PlantParameters()
     reference = np.asarray(reference, dtype=float)
     if reference.ndim != 2 or reference.shape[1] != 2 or len(reference) < 2:
@@ -109,6 +108,7 @@ def simulate_closed_loop(reference, dt, parameters=None, *, controllers=None, x0
         attributes={
             **{f"plant_{name}": value for name, value in parameters.as_dict().items()},
             **{f"pid_{axis}_{gain}": getattr(c, gain) for axis, c in zip(("phi", "psi"), controllers) for gain in "PID"},
+            **{f"version_{name}": version for name, version in versions().items()},
             "integration_step": step,
             **(attributes or {}),
         },

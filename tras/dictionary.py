@@ -20,6 +20,8 @@ class Dictionary(BaseEstimator):
     def fit(self, x, u=None):
         """Learn what the dictionary needs (the number of channels; centres) from samples (..., n) and (..., m)."""
         x, u = _samples(x, u)
+        for name in [name for name in vars(self) if name.endswith("_")]:
+            delattr(self, name)  # what an earlier fit learnt
         self.n_states_, self.n_inputs_ = x.shape[-1], u.shape[-1]
         self._prepare(_columns(x, u))
         return self
@@ -148,21 +150,22 @@ class GaussianRBF(Dictionary):
             raise ValueError(f"n_centres is {self.n_centres!r}; give a whole number, 1 or more.")
         if not (np.isfinite(self.width) and self.width > 0):
             raise ValueError(f"width is {self.width!r}; give a positive number, in units of the scaled channels.")
-        self.centres_ = np.random.default_rng(self.seed).uniform(-1, 1, size=(self.n_centres, len(z)))
+        if not hasattr(self, "centres_"):
+            self.centres_ = np.random.default_rng(self.seed).uniform(-1, 1, size=(self.n_centres, len(z)))
+        self._slope = self.centres_ * (2 / self.width**2)
+        self._level = np.sum(self.centres_**2, axis=1, keepdims=True) / self.width**2
 
     def _lift(self, z):
         head = 1 + len(z)
         psi = np.empty((head + len(self.centres_), z.shape[1]))
         psi[0] = 1
         psi[1:head] = z
-        # |z - c|^2 = |z|^2 - 2 c.z + |c|^2 by one matrix product: no array of (centres, channels, points).
-        distance = psi[head:]
-        np.matmul(self.centres_, z, out=distance)
-        distance *= -2
-        distance += np.einsum("ip,ip->p", z, z)
-        distance += np.einsum("ci,ci->c", self.centres_, self.centres_)[:, None]
-        distance *= -1 / self.width**2
-        np.exp(distance, out=distance)
+        # -|z - c|^2 = 2 c.z - |c|^2 - |z|^2 by one matrix product: no array of (centres, channels, points).
+        exponent = psi[head:]
+        np.matmul(self._slope, z, out=exponent)
+        exponent -= self._level
+        exponent -= np.add.reduce(z * z) / self.width**2
+        np.exp(exponent, out=exponent)
         return psi
 
     def _lift_jacobian(self, z):

@@ -1,4 +1,4 @@
-"""Files that are either whole or not there: write to a temporary name in the same folder, then move into place."""
+"""Files that are either whole or not there, and where the project is."""
 
 import contextlib
 import os
@@ -38,6 +38,33 @@ def replacing(path):
         raise OSError(error.errno, f"{path} could not be written ({error.strerror or error}); nothing was left under that name") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def project_root(start=None):
+    """The folder of the project, looked for from the working folder upwards.
+
+    Parameters
+    ----------
+    start : str or pathlib.Path, optional
+        Where to begin; the working folder if omitted.
+
+    Returns
+    -------
+    pathlib.Path
+        The nearest folder that holds `pyproject.toml` and `tras/`.
+
+    Raises
+    ------
+    FileNotFoundError
+        When there is none above.
+    """
+    start = Path(start or Path.cwd()).resolve()
+    for folder in (start, *start.parents):
+        if (folder / "pyproject.toml").is_file() and (folder / "tras").is_dir():
+            return folder
+    raise FileNotFoundError(
+        f"no folder with pyproject.toml and tras/ at or above {start}: start the notebook from inside the project's checkout."
+    )
 
 
 def _umask():

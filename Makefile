@@ -1,0 +1,152 @@
+# Build the replication: `make` lists what it can do, `make all` does it.
+#
+# A stage is a notebook with parameters. Its stamp is its executed copy, build/PROFILE/NAME.ipynb, which tras/runner.py moves into
+# place as the last act of a successful run. Whether a stage is out of date is decided by content, not by time: tras/staleness.py
+# rewrites build/PROFILE/NAME.key only when code, parameters, environment or outputs changed.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DELETE_ON_ERROR:
+.SUFFIXES:
+MAKEFLAGS += --no-builtin-rules --no-print-directory
+
+ifeq ($(filter grouped-target,$(.FEATURES)),)
+$(error this Makefile needs GNU make 4.3 or newer, this is $(MAKE_VERSION))
+endif
+ifneq ($(words $(CURDIR)),1)
+$(error the folder "$(CURDIR)" has a blank in its path, which make cannot handle: move the checkout)
+endif
+
+# The same bits on every run: sums depend on the number of BLAS threads. Kernels choose the inline backend by themselves.
+export OPENBLAS_NUM_THREADS := 1
+export OMP_NUM_THREADS := 1
+export MKL_NUM_THREADS := 1
+export PYTHONHASHSEED := 0
+unexport MPLBACKEND
+unexport PYTHONDONTWRITEBYTECODE  # uv leaves compiling to the first import; without the result each stage takes 1.5 s longer
+
+# --- profiles: paper, smoke (the same code, small), or your own params/NAME.yaml ------------------------------------------------
+
+PROFILE ?= paper
+PARAMS := params/$(PROFILE).yaml
+BUILD := build/$(PROFILE)
+ifeq ($(PROFILE),paper)
+DATA := data
+FIGURES := figures
+else
+DATA := $(BUILD)/data
+FIGURES := $(BUILD)/figures
+endif
+
+# --- stages and what they write; every file is named, so that a deleted one is made again ----------------------------------------
+
+MODELS := $(foreach input,reference torque,$(foreach model,linear gaussian gaussian28 monomials2,$(input)_$(model)))
+DRAWN := fig1_rig fig2_method fig3_overlay excitation spectrum horizon
+
+STAGES := 01_data_generation 02_identification 03_validation 04_figures
+OUT_01 := $(addprefix $(DATA)/,train.nc validation_multisine.nc validation_steps.nc validation_chirp.nc)
+OUT_02 := $(addprefix $(DATA)/,identification.csv spectrum.csv $(MODELS:%=models/%.npz))
+OUT_03 := $(addprefix $(DATA)/,metrics.csv horizon.csv overlay.csv)
+OUT_04 := $(addprefix $(FIGURES)/,$(foreach kind,pdf svg png csv,$(DRAWN:%=%.$(kind))) table.csv)
+
+STAMPS := $(STAGES:%=$(BUILD)/%.ipynb)
+KEYS := $(STAGES:%=$(BUILD)/%.key)
+OUTPUTS := $(OUT_01) $(OUT_02) $(OUT_03) $(OUT_04)
+# The stamp alone says that a stage is done. After a failure make would delete its outputs, the committed figures among them.
+.PRECIOUS: $(OUTPUTS)
+
+# --- the environment: its stamp carries the hash of the lock file ----------------------------------------------------------------
+
+PYTHON ?= python3
+LOCKED := $(shell { sha256sum environment.txt || shasum -a 256 environment.txt; } 2>/dev/null | cut -c1-12)
+READY := .venv/.ready-$(LOCKED)
+PY := .venv/bin/python
+
+.PHONY: help setup all paper figures smoke test lab lock readme clean distclean FORCE
+
+help: ## list the targets (this text)
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
+	@echo "Another parameter set: make all PROFILE=NAME reads params/NAME.yaml and writes below build/NAME/."
+
+setup: $(READY) ## create .venv from environment.txt (the other targets do it by themselves)
+
+all: paper ## everything: data, models, figures; prints the table
+	@$(PY) -m tras.tables $(FIGURES)/table.csv $(if $(filter paper,$(PROFILE)),--check README.md)
+
+paper: $(STAMPS) $(OUTPUTS) ## the paper's own figures and numbers
+
+figures: $(BUILD)/04_figures.ipynb $(OUT_04) ## all figures, and what they need
+
+smoke: $(READY) ## the same stages, small, below build/smoke/
+	@$(MAKE) PROFILE=smoke paper
+
+test: $(READY) ## unit tests, then every notebook of the small profile rerun and compared
+	@status=0; \
+	MPLBACKEND=Agg $(PY) -m pytest || status=1; \
+	$(MAKE) PROFILE=smoke paper \
+	  && $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) || status=1; \
+	exit $$status
+
+lab: $(READY) ## open the notebooks in JupyterLab
+	$(PY) -m jupyterlab notebooks/
+
+lock: ## resolve environment.in anew into environment.txt (needs uv; UPGRADE=1 for newer versions)
+	@command -v uv >/dev/null || { echo "make lock needs uv, which was not found on PATH: python3 -m pip install uv." >&2; exit 1; }
+	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url \
+	  --no-emit-find-links $(if $(UPGRADE),--upgrade) environment.in --output-file environment.txt
+
+readme: $(READY) ## write the table into README.md
+	@$(MAKE) PROFILE=paper figures
+	@$(PY) -m tras.tables figures/table.csv --readme README.md
+
+clean: ## remove build/ and the generated data (figures/ stays: it is in git)
+	rm -rf build
+	rm -f $(filter data/%,$(OUTPUTS))
+	@rmdir data/models 2>/dev/null || true
+
+distclean: clean ## clean, and .venv too
+	rm -rf .venv
+
+# --- how ---------------------------------------------------------------------------------------------------------------------------
+
+# A venv without its interpreter (the system's Python was replaced) is not ready whatever its stamp says. The stamp of the old venv
+# goes first and that of the new one comes last: an interrupted setup never counts.
+$(READY): $(if $(wildcard $(PY)),,FORCE)
+	@test -n "$(LOCKED)" || { echo "environment.txt is missing: restore it from git, or run make lock." >&2; exit 1; }
+	@$(check_python)
+	@echo "Creating .venv from environment.txt (once; half a minute to a few minutes)"
+	@rm -f .venv/.ready-*; rm -rf .venv
+	@if command -v uv >/dev/null; then \
+	  uv venv --quiet --no-project --python "$(PYTHON)" .venv; \
+	  uv pip install --quiet --python $(PY) --require-hashes -r environment.txt; \
+	else \
+	  $(PYTHON) -m venv .venv; \
+	  $(PY) -m pip install --quiet --disable-pip-version-check --require-hashes -r environment.txt; \
+	fi
+	@echo '../../../..' > "$$($(PY) -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/tras-checkout.pth"
+	@touch $@
+
+define check_python
+command -v "$(PYTHON)" >/dev/null || { \
+  echo "$(PYTHON) was not found. On Debian 12: sudo apt-get install python3 python3-venv" >&2; exit 1; }; \
+"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+  echo "$$("$(PYTHON)" --version) is too old, 3.11 or newer is needed. Name another one: make setup PYTHON=python3.12" >&2; exit 1; }; \
+command -v uv >/dev/null || "$(PYTHON)" -c 'import venv, ensurepip' 2>/dev/null || { \
+  echo "$(PYTHON) cannot create environments. On Debian 12: sudo apt-get install python3-venv" >&2; exit 1; }
+endef
+
+$(KEYS) &: FORCE | $(READY)
+	@$(PY) -I -S tras/staleness.py --build $(BUILD) --params $(PARAMS) $(STAGES:%=notebooks/%.ipynb)
+
+# $(call stage,NAME,OUTPUTS,STAGES BEFORE IT). The stamps before it stand for their outputs: a stage is out of date when one of
+# its outputs is not what it wrote, so a missing recording reruns the stage that writes it.
+define stage
+$(2) $(BUILD)/$(1).ipynb &: $(BUILD)/$(1).key $(3:%=$(BUILD)/%.ipynb)
+	@$(PY) -m tras.runner notebooks/$(1).ipynb $(BUILD)/$(1).ipynb --params $(PARAMS) \
+	  --set data_dir=$(DATA) --set figures_dir=$(FIGURES) --outputs $(2)
+endef
+
+$(eval $(call stage,01_data_generation,$(OUT_01),))
+$(eval $(call stage,02_identification,$(OUT_02),01_data_generation))
+$(eval $(call stage,03_validation,$(OUT_03),01_data_generation 02_identification))
+$(eval $(call stage,04_figures,$(OUT_04),01_data_generation 02_identification 03_validation))

@@ -1,0 +1,51 @@
+"""Shared recordings, made once: the real pipeline at a small size."""
+
+import numpy as np
+import pytest
+
+import tras
+
+
+@pytest.fixture(scope="session")
+def parameters():
+    return tras.PlantParameters()
+
+
+@pytest.fixture(scope="session")
+def experiment(parameters):
+    """100 s of closed loop, both kinds of input, cut into 5 s trajectories."""
+    reference = tras.multisine(100, 0.01, [0.5, 1.2], [1.0, 2.5], np.random.default_rng(1))
+    return tras.simulate_closed_loop(reference, 0.01, parameters).cut(501)
+
+
+def linear_system(A, B, dt, *, trajectories=10, samples=60, seed=0):
+    """An exact recording of dx/dt = A x + B u with held random inputs: (Recording, Ad, Bd)."""
+    from scipy.linalg import expm
+
+    A, B = np.atleast_2d(A).astype(float), np.atleast_2d(B).astype(float)
+    n, m = B.shape
+    whole = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * dt)
+    Ad, Bd = whole[:n, :n], whole[:n, n:]
+    rng = np.random.default_rng(seed)
+    u = rng.uniform(-1, 1, (trajectories, samples, m))
+    x = np.empty((trajectories, samples, n))
+    x[:, 0] = rng.uniform(-1, 1, (trajectories, n))
+    for k in range(samples - 1):
+        x[:, k + 1] = x[:, k] @ Ad.T + u[:, k] @ Bd.T
+    return tras.Recording(x, u, dt), Ad, Bd
+
+
+def ode_recording(field, dt, *, n, m=0, trajectories=40, samples=21, size=1.0, seed=0):
+    """Trajectories of dx/dt = field(x, u) from random states under held random inputs, by DOP853 at tight tolerance."""
+    from scipy.integrate import solve_ivp
+
+    rng = np.random.default_rng(seed)
+    x = np.empty((trajectories, samples, n))
+    x[:, 0] = rng.uniform(-size, size, (trajectories, n))
+    u = rng.uniform(-1, 1, (trajectories, samples, m))
+    for i in range(trajectories):
+        for k in range(samples - 1):
+            held = u[i, k]
+            flow = solve_ivp(lambda t, s: field(s, held), (0, dt), x[i, k], method="DOP853", rtol=1e-12, atol=1e-13)
+            x[i, k + 1] = flow.y[:, -1]
+    return tras.Recording(x, u, dt)

@@ -1,0 +1,82 @@
+"""The simulated experiment: sample and hold, limits, anti-windup, bumpless start, what is recorded."""
+
+import numpy as np
+import pytest
+
+import tras
+
+
+def test_the_papers_recording_has_the_papers_size(parameters):
+    reference = tras.multisine(500, 0.01, [0.2, 0.8], [1.22173, np.pi], np.random.default_rng(1))
+    recording = tras.simulate_closed_loop(reference, 0.01, parameters)
+    assert recording.states.shape == (1, 50001, 4)
+    assert recording.input_names == ("phi_ref", "psi_ref", "u_phi", "u_psi")
+    pieces = recording.cut(501)
+    assert (len(pieces), pieces.pairs) == (100, 50000)
+    assert np.array_equal(pieces.states[:-1, -1], pieces.states[1:, 0])
+    # Full ranges are reached and, in rad/s, no torque is ever at its limit.
+    angles = recording.states[0][:, [0, 2]]
+    assert np.all(np.abs(angles).max(axis=0) >= [1.2, 3.1])
+    from tras.closed_loop import saturated
+
+    assert np.array_equal(saturated(recording, parameters), [0, 0])
+
+
+def test_recorded_torques_reproduce_the_recorded_states(experiment, parameters):
+    """Torque k acts from sample k to k + 1: an open-loop run under the recorded torques gives the same states."""
+    for x, u in experiment.select(inputs=["u_phi", "u_psi"])[[0, 7]]:
+        assert np.allclose(tras.simulate_plant(x[0], u, 0.01, parameters), x, rtol=0, atol=1e-12)
+
+
+def test_default_gains_place_the_documented_poles(parameters):
+    pitch, yaw = tras.PID.defaults(parameters)
+    for pid, inertia, rate in ((pitch, parameters.J_phi, 1.0), (yaw, parameters.J + parameters.J_psi0, 0.5)):
+        poles = np.roots([inertia, pid.D, pid.P])  # double integrator J q'' = -P q - D q'
+        assert np.allclose(np.abs(poles), 4.0) and np.allclose(-poles.real / np.abs(poles), 0.9)
+        assert pid.I == pytest.approx(rate * pid.P)
+
+
+def test_starts_at_rest_on_the_reference_and_stays(parameters):
+    recording = tras.simulate_closed_loop(np.tile([0.7, 1.5], (200, 1)), 0.01, parameters)
+    assert np.allclose(recording.states, [0.7, 0, 1.5, 0], atol=1e-12)
+
+
+def test_torques_respect_the_limits_and_the_integral_does_not_wind_up(parameters):
+    """A yaw command out of reach saturates; back in reach the loop must recover at once, not after unwinding."""
+    reference = np.zeros((6001, 2))
+    reference[500:3000, 1] = 200.0
+    recording = tras.simulate_closed_loop(reference, 0.01, parameters)
+    u = recording.inputs[0][:, 2:]
+    assert np.all(u >= [-0.144, -0.241]) and np.all(u <= [0.207, 0.140])
+    assert (u[500:3000, 1] == 0.140).mean() > 0.5
+    back = recording.states[0][3000:, 2]
+    assert np.abs(back[1500:]).max() < 1.0
+
+
+def test_derivative_gives_no_kick_at_a_step(parameters):
+    reference = np.zeros((3, 2))
+    reference[1:, 0] = 0.1
+    recording = tras.simulate_closed_loop(reference, 0.01, parameters)
+    pitch, _ = tras.PID.defaults(parameters)
+    u = recording.inputs[0][:, 2]
+    assert u[1] - u[0] == pytest.approx(pitch.P * 0.1, rel=1e-9)
+
+
+def test_everything_needed_to_repeat_it_is_inside(parameters):
+    recording = tras.simulate_closed_loop(np.zeros((3, 2)), 0.01, parameters, attributes={"seed": 7})
+    assert recording.attributes["seed"] == 7
+    assert recording.attributes["plant_K_psi"] == 0.003
+    assert recording.attributes["pid_psi_P"] == tras.PID.defaults(parameters)[1].P
+
+
+@pytest.mark.parametrize(
+    "reference, keywords, words",
+    [
+        (np.zeros((10, 3)), {}, "reference has shape .10, 3."),
+        (np.full((10, 2), np.nan), {}, "reference holds NaN"),
+        (np.zeros((10, 2)), {"x0": [0, 0, 0]}, "x0 is .0.0, 0.0, 0.0."),
+    ],
+)
+def test_mistakes_are_named(reference, keywords, words):
+    with pytest.raises(ValueError, match=words):
+        tras.simulate_closed_loop(reference, 0.01, **keywords)

@@ -1,0 +1,193 @@
+"""K, its logarithm and the vector field against closed forms and extended precision."""
+
+import mpmath
+import numpy as np
+import pytest
+from conftest import linear_system, ode_recording
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+import tras
+from tras import koopman
+from tras.dictionary import Dictionary
+from tras.generator import LogarithmError, branch_distance, generator, principal_logarithm
+
+A4 = np.array([[0, 1, 0, 0], [-3, -0.4, 0.2, 0], [0, 0, 0, 1], [0.1, 0, -1, -0.3]])
+B4 = np.array([[0, 0], [2, 0], [0, 0], [0, 1.5]])
+
+
+def test_pairs_stay_inside_their_trajectory_and_share_the_input():
+    """Samples carry (trajectory, time), so that every pair can be checked by eye."""
+    lengths = [3, 1, 5, 2]
+    x = [np.column_stack([np.full(k, i), np.arange(k)]).astype(float) for i, k in enumerate(lengths)]
+    recording = tras.Recording(x, [10 * a[:, :1] + a[:, 1:] for a in x], 1.0)
+    for block in (1, 2, 3, 100):
+        blocks = list(koopman.snapshot_pairs(recording, block))
+        xs, us, ys = (np.concatenate(part) for part in zip(*blocks))
+        assert len(xs) == recording.pairs == 7
+        assert np.array_equal(xs[:, 0], ys[:, 0]) and np.array_equal(xs[:, 1] + 1, ys[:, 1])
+        assert np.array_equal(us[:, 0], 10 * xs[:, 0] + xs[:, 1])
+
+
+def test_a_jump_between_trajectories_does_not_reach_k():
+    recording, Ad, Bd = linear_system(A4, B4, 0.05)
+    K = tras.KoopmanModel(tras.Monomials(1), "one_step").fit(recording)
+    prediction = K.predict(recording)
+    assert np.allclose(prediction, recording.states, atol=1e-10)
+    joined = tras.Recording(recording.states.reshape(1, -1, 4), recording.inputs.reshape(1, -1, 2), recording.dt)
+    wrong = tras.KoopmanModel(tras.Monomials(1), "one_step").fit(joined)
+    assert np.abs(wrong.koopman_matrix - K.koopman_matrix).max() > 1e-3
+
+
+def test_least_squares_in_blocks_equals_extended_precision():
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(300, 6)) @ np.diag([1, 1e3, 1e-3, 1, 1, 1]) + 1e-3 * rng.normal(size=(300, 1))
+    Y = rng.normal(size=(300, 2))
+    fit = koopman.least_squares((X[k : k + 37], Y[k : k + 37]) for k in range(0, 300, 37))
+    mpmath.mp.dps = 50
+    MX, MY = mpmath.matrix(X.tolist()), mpmath.matrix(Y.tolist())
+    exact = mpmath.inverse(MX.T * MX) * (MX.T * MY)
+    exact = np.array(exact.tolist(), dtype=float)
+    assert np.allclose(fit.coefficients, exact, rtol=1e-11)
+    assert fit.condition_number == pytest.approx(np.linalg.cond(X), rel=1e-6)
+    assert np.allclose(fit.residual, np.sqrt(np.mean((X @ exact - Y) ** 2, axis=0)), rtol=1e-10)
+    assert np.allclose(fit.R.T @ fit.R, X.T @ X, rtol=1e-10, atol=1e-10)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6), st.floats(-3, 3), st.floats(-3, 3))
+def test_k_is_linear_in_what_it_predicts(seed, a, b):
+    """(3): the coefficients of a f + b g are a (those of f) + b (those of g)."""
+    rng = np.random.default_rng(seed)
+    X, f, g = rng.normal(size=(50, 5)), rng.normal(size=(50, 2)), rng.normal(size=(50, 2))
+    solve = lambda Y: koopman.least_squares([(X, Y)]).coefficients  # noqa: E731
+    assert np.allclose(solve(a * f + b * g), a * solve(f) + b * solve(g), atol=1e-12)
+
+
+def test_linear_system_gives_its_exponential_and_log_gives_it_back():
+    """K of a linear system is the matrix exponential; its logarithm is the system, both to 1e-10."""
+    dt = 0.05
+    recording, Ad, Bd = linear_system(A4, B4, dt)
+    psi = tras.Monomials(1).fit(recording.states, recording.inputs)
+    K = koopman.koopman_matrix(psi, recording).coefficients
+    exact = np.zeros((7, 7))
+    exact[0, 0], exact[1:5, 1:5], exact[5:, 1:5], exact[5:, 5:] = 1, Ad.T, Bd.T, np.eye(2)
+    assert np.abs(K - exact).max() <= 1e-10
+    A = generator(K, dt)
+    assert np.abs(A[1:5, 1:5] - A4.T).max() <= 1e-10 and np.abs(A[5:, 1:5] - B4.T).max() <= 1e-10
+    assert np.abs(A[:, [0, 5, 6]]).max() <= 1e-10  # the generator does not act on the constant, nor on u
+
+
+class SlowManifold(Dictionary):
+    """(1, x1, x2, x1^2): closed under the flow of x1' = mu x1, x2' = lambda (x2 - x1^2) (S. L. Brunton et al., PLoS ONE 11, 2016)."""
+
+    def _prepare(self, z):
+        pass
+
+    def _lift(self, z):
+        return np.vstack([np.ones(z.shape[1]), z, z[0] ** 2])
+
+    def _lift_jacobian(self, z):
+        one, zero = np.ones(z.shape[1]), np.zeros(z.shape[1])
+        return np.array([[zero, zero], [one, zero], [zero, one], [2 * z[0], zero]])
+
+    def feature_names(self, channels):
+        return ["1", *channels, f"{channels[0]}^2"]
+
+
+def test_slow_manifold_has_its_exact_spectrum():
+    """Closed form: the generator's eigenvalues are 0, mu, lambda and 2 mu, K's their exponentials, F is exact."""
+    mu, lam, dt = -0.05, -1.0, 0.1
+    recording = ode_recording(lambda x, u: [mu * x[0], lam * (x[1] - x[0] ** 2)], dt, n=2)
+    psi = SlowManifold().fit(recording.states)
+    K = koopman.koopman_matrix(psi, recording)
+    A = generator(K.coefficients, dt)
+    assert np.allclose(np.sort(np.linalg.eigvals(A).real), [lam, 2 * mu, mu, 0], atol=1e-9)
+    assert np.allclose(np.sort(np.linalg.eigvals(K.coefficients).real), np.exp(np.array([lam, 2 * mu, mu, 0]) * dt), atol=1e-10)
+    model = tras.KoopmanModel(SlowManifold()).fit(recording)
+    x = np.random.default_rng(1).uniform(-1, 1, (20, 2))
+    exact = np.column_stack([mu * x[:, 0], lam * (x[:, 1] - x[:, 0] ** 2)])
+    assert np.allclose(model.vector_field(x), exact, atol=1e-8)
+
+
+def test_vector_field_of_a_polynomial_system_with_input():
+    """x1' = -x1 + u, x2' = -0.3 x2 + x1^2 - u x1: the field lies in the span of monomials of degree 2, their rates do not.
+
+    Read from the states' columns the field is recovered. Equation (18) also asks the rates of x2^2, x1 x2, ... to fit, which they
+    cannot, and the error of that shows in F: the reason why "coordinates" is the default.
+    """
+    rate = lambda x, u: np.array([-x[0] + u[0], -0.3 * x[1] + x[0] ** 2 - u[0] * x[0]])  # noqa: E731
+    recording = ode_recording(rate, 0.001, n=2, m=1, trajectories=200, samples=4)
+    rng = np.random.default_rng(1)
+    x, u = rng.uniform(-0.9, 0.9, (50, 2)), rng.uniform(-0.9, 0.9, (50, 1))
+    error = {}
+    for field in ("coordinates", "least_squares"):
+        model = tras.KoopmanModel(tras.Monomials(2), field=field).fit(recording)
+        error[field] = np.abs(model.vector_field(x, u) - rate(x.T, u.T).T).max()
+    assert error["coordinates"] <= 2e-3
+    assert error["least_squares"] >= 50 * error["coordinates"]
+    assert np.max(model.field_disagreement_) >= 0.05  # and the report says so
+
+
+def test_vector_field_least_squares_is_equation_18_solved_densely():
+    """The whitened normal equations against one big dense least squares, every row of (18) written out."""
+    rng = np.random.default_rng(0)
+    recording = tras.Recording(rng.uniform(-1, 1, (4, 30, 2)), rng.uniform(-1, 1, (4, 30, 1)), 0.1)
+    from tras.generator import field_by_least_squares
+
+    psi = tras.GaussianRBF(5, seed=2).fit(recording.states, recording.inputs)
+    N = len(psi.names)
+    A = rng.normal(size=(N, N))
+    R = koopman.koopman_matrix(psi, recording).R
+    W = field_by_least_squares(A, psi, recording, R)
+    x, u = recording.states[:, :-1].reshape(-1, 2), recording.inputs[:, :-1].reshape(-1, 1)
+    lifted, J = psi(x, u), psi.jacobian(x, u)
+    rows = np.einsum("pji,pk->pjik", J, lifted).reshape(-1, 2 * N)
+    dense = np.linalg.lstsq(rows, (lifted @ A).ravel(), rcond=None)[0].reshape(2, N)
+    assert np.allclose(W, dense, rtol=1e-9, atol=1e-10)
+
+
+def test_logarithm_against_extended_precision():
+    rng = np.random.default_rng(3)
+    K = expm(0.3 * rng.normal(size=(7, 7)))
+    mpmath.mp.dps = 40
+    exact = np.array(mpmath.logm(mpmath.matrix(K.tolist())).apply(mpmath.re).tolist(), dtype=float)
+    assert np.abs(principal_logarithm(K) - exact).max() <= 1e-13 * np.abs(exact).max() * np.linalg.cond(K)
+
+
+@pytest.mark.parametrize(
+    "K, eigenvalue",
+    [
+        (np.diag([1.0, 0.9, -0.5]), -0.5),
+        (np.diag([1.0, 0.0, 0.5]), 0.0),
+        (np.array([[1.0, 1.0], [1.0, 1.0]]), 0.0),
+    ],
+)
+def test_no_principal_logarithm_is_said_with_the_eigenvalue(K, eigenvalue):
+    with pytest.raises(LogarithmError, match="closed negative real axis.*more data.*one_step") as caught:
+        principal_logarithm(K)
+    assert abs(caught.value.eigenvalue - eigenvalue) < 1e-12
+
+
+def test_negative_real_parts_alone_do_no_harm():
+    """The paper asks for eigenvalues with non-negative real parts; a rotation by 120 degrees a sample has none, and a logarithm."""
+    K = 0.9 * np.array([[np.cos(2.1), np.sin(2.1)], [-np.sin(2.1), np.cos(2.1)]])
+    assert np.all(np.linalg.eigvals(K).real < 0)
+    assert np.allclose(principal_logarithm(K), [[np.log(0.9), 2.1], [-2.1, np.log(0.9)]], atol=1e-13)
+
+
+def test_branch_distance():
+    assert np.allclose(branch_distance([1, -1, 1j, -1 + 0.1j, 0.3 + 0.4j]), [1, 0, 1, 0.1, 0.5])
+
+
+def test_too_few_pairs_and_dependent_functions_are_named():
+    rng = np.random.default_rng(0)
+    few = tras.Recording(rng.normal(size=(1, 8, 2)), dt=0.1)
+    with pytest.raises(ValueError, match="7 snapshot pairs cannot determine 10 functions"):
+        koopman.koopman_matrix(tras.Monomials(3).fit(few.states), few)
+    x = rng.normal(size=(1, 100, 1))
+    twin = tras.Recording(np.dstack([x, 2 * x]), dt=0.1)
+    psi = tras.Monomials(1).fit(twin.states)
+    with pytest.raises(ValueError, match="linearly dependent.*rank 2; .*x1, x2"):
+        koopman.koopman_matrix(psi, twin, psi.names)

@@ -1,0 +1,228 @@
+"""Models: the three predictors, units, divergence, files, mistakes."""
+
+import hashlib
+import json
+
+import numpy as np
+import pytest
+from conftest import linear_system, ode_recording
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from sklearn.base import clone
+from sklearn.model_selection import GridSearchCV
+
+import tras
+from tras import metrics
+
+A2, B2 = [[0, 1], [-2, -0.5]], [[0], [1]]
+PREDICTORS = ["vector_field", "one_step", "lifted_linear"]
+TORQUES = ["u_phi", "u_psi"]
+
+
+@pytest.fixture(scope="module")
+def oscillator():
+    return linear_system(A2, B2, 0.1)[0]
+
+
+@pytest.fixture(scope="module")
+def torque_data(experiment):
+    return experiment.select(inputs=TORQUES)
+
+
+@pytest.mark.parametrize("predictor", PREDICTORS)
+def test_every_predictor_is_exact_on_a_linear_system(predictor, oscillator):
+    model = tras.KoopmanModel(tras.Monomials(1), predictor).fit(oscillator)
+    # The roll-out of F by Runge-Kutta is held to 1e-8 of a half-range a sample.
+    assert np.abs(model.predict(oscillator) - oscillator.states).max() <= (1e-6 if predictor == "vector_field" else 1e-10)
+
+
+def test_vector_field_is_the_systems_own(oscillator):
+    model = tras.KoopmanModel(tras.Monomials(1), field="least_squares").fit(oscillator)
+    x, u = np.random.default_rng(0).uniform(-1, 1, (2, 9, 2))
+    assert np.allclose(model.vector_field(x, u[:, :1]), x @ np.transpose(A2) + u[:, :1] @ np.transpose(B2), atol=1e-9)
+    assert np.max(model.field_disagreement_) <= 1e-9
+
+
+def test_lifted_linear_lifts_once_and_one_step_lifts_again():
+    """On x+ = 0.8 x - 0.2 x^2 + u, with the dictionary (1, x, u, x^2, ...), only re-lifting follows the truth for long."""
+    rng = np.random.default_rng(0)
+    u = rng.uniform(-0.04, 0.04, (30, 40, 1))
+    x = np.zeros((30, 40, 1))
+    x[:, 0] = rng.uniform(-0.5, 0.5, (30, 1))
+    for k in range(39):
+        x[:, k + 1] = 0.8 * x[:, k] - 0.2 * x[:, k] ** 2 + u[:, k]
+    recording = tras.Recording(x, u, 1.0)
+    relifted = tras.KoopmanModel(tras.Monomials(2), "one_step").fit(recording)
+    once = tras.KoopmanModel(tras.Monomials(2), "lifted_linear").fit(recording)
+    assert np.abs(relifted.predict(recording) - x).max() <= 1e-12
+    error = np.abs(once.predict(recording) - x).max(axis=(0, 2))
+    assert error[1] <= 1e-12 < 1e-4 < error[10:].max()
+    # ... and what lifted_linear does is z+ = A z + B u, by hand:
+    scale = lambda v, letter: (v - getattr(once, f"{letter}_offset_")) / getattr(once, f"{letter}_scale_")  # noqa: E731
+    z = once.dictionary_(scale(x[3, 0], "x"))
+    for k in range(39):
+        z = once.koopman_matrix.T @ z + once.B_ @ scale(u[3, k], "u")
+    assert z[1] * once.x_scale_[0] + once.x_offset_[0] == pytest.approx(once.predict(recording)[3, -1, 0], abs=1e-12)
+
+
+def test_roll_out_of_the_field_against_dop853(torque_data):
+    """The prediction is the solution of the identified ODE: integrated again by another method at tight tolerance."""
+    model = tras.KoopmanModel(tras.GaussianRBF(5)).fit(torque_data)
+    x0, held = torque_data.states[3, 0], torque_data.inputs[3, :101]
+    states = [x0]
+    for u in held[:-1]:
+        flow = solve_ivp(lambda t, x: model.vector_field(x, u), (0, 0.01), states[-1], method="DOP853", rtol=1e-11, atol=1e-12)
+        states.append(flow.y[:, -1])
+    assert np.abs(model.simulate(x0, held) - states).max() <= 1e-6
+
+
+def test_slow_sampling_gets_more_steps():
+    recording = ode_recording(lambda x, u: [x[1], -25 * x[0] - x[1] + u[0]], 0.1, n=2, m=1)
+    model = tras.KoopmanModel(tras.Monomials(1)).fit(recording)
+    assert model.substeps_ > 1
+    assert np.abs(model.predict(recording) - recording.states).max() <= 1e-5
+
+
+@settings(max_examples=8, deadline=None)
+@given(factors=st.lists(st.floats(1e-4, 1e4), min_size=6, max_size=6), shifts=st.lists(st.floats(-100, 100), min_size=6, max_size=6))
+@pytest.mark.parametrize("predictor", PREDICTORS)
+def test_units_do_not_matter(predictor, torque_data, factors, shifts):
+    """Degrees, millimetres, an encoder's zero: the prediction is the same in the new units (shifts in units of the range)."""
+    factors, shifts = np.array(factors), np.array(shifts)
+    x = torque_data.states * factors[:4] + shifts[:4] * factors[:4]
+    u = torque_data.inputs * factors[4:] + shifts[4:] * factors[4:]
+    model = tras.KoopmanModel(tras.Monomials(2), predictor)
+    plain = clone(model).fit(torque_data).predict(torque_data[:2])
+    changed = clone(model).fit(tras.Recording(x, u, torque_data.dt)).predict(tras.Recording(x[:2], u[:2], torque_data.dt))
+    back = changed / factors[:4] - shifts[:4]
+    assert np.abs(back - plain).max() <= 1e-6
+
+
+def test_degrees_and_radians_agree(torque_data):
+    degrees = tras.Recording(np.degrees(torque_data.states), torque_data.inputs, torque_data.dt)
+    model = tras.KoopmanModel(tras.Monomials(2))
+    a, b = clone(model).fit(torque_data), clone(model).fit(degrees)
+    assert np.allclose(np.radians(b.predict(degrees)), a.predict(torque_data), atol=1e-9)
+    assert a.condition_number == pytest.approx(b.condition_number, rel=1e-9)
+
+
+def test_a_list_of_recordings_is_one_recording(torque_data):
+    together = tras.KoopmanModel(tras.Monomials(2)).fit(torque_data)
+    parts = tras.KoopmanModel(tras.Monomials(2)).fit([torque_data[:7], torque_data[7:]])
+    assert np.array_equal(together.koopman_matrix, parts.koopman_matrix)
+
+
+def test_unequal_lengths(oscillator):
+    lengths = [60, 2, 17, 33, 60, 45]
+    cut = tras.Recording([x[:k] for k, (x, _) in zip(lengths, oscillator)], [u[:k] for k, (_, u) in zip(lengths, oscillator)], 0.1)
+    model = tras.KoopmanModel(tras.Monomials(1), "one_step").fit(cut)
+    predicted = model.predict(cut)
+    assert [len(x) for x in predicted] == lengths
+    assert all(np.allclose(p, x, atol=1e-10) for p, x in zip(predicted, cut.states))
+    assert model.score(cut) == pytest.approx(0, abs=1e-7)
+
+
+def test_autonomous_system():
+    recording = ode_recording(lambda x, u: [x[1], -x[0]], 0.2, n=2)
+    model = tras.KoopmanModel(tras.Monomials(1)).fit(recording)
+    assert np.allclose(model.simulate([1, 0], np.empty((6, 0)))[-1], [np.cos(1), -np.sin(1)], atol=1e-6)
+
+
+def test_simulate_broadcasts(torque_data):
+    model = tras.KoopmanModel(tras.GaussianRBF(2)).fit(torque_data)
+    x0, inputs = torque_data.states[:6, 0].reshape(2, 3, 4), torque_data.inputs[0]
+    states = model.simulate(x0, inputs)
+    assert states.shape == (2, 3, 501, 4)
+    assert np.allclose(states[1, 2], model.simulate(x0[1, 2], inputs), atol=1e-10)
+    assert np.array_equal(states[..., 0, :], x0) or np.allclose(states[..., 0, :], x0, rtol=1e-15, atol=1e-15)
+
+
+def test_prediction_that_leaves_is_nan_from_there_on_and_the_others_go_on():
+    """x' = x^2 escapes in finite time from x0 > 0 and decays from x0 < 0."""
+    recording = ode_recording(lambda x, u: [x[0] ** 2], 0.05, n=1, samples=11, size=0.9)
+    model = tras.KoopmanModel(tras.Monomials(2), "one_step").fit(recording)
+    states = model.simulate([[0.9], [-0.5]], np.empty((400, 0)))
+    lost = np.isnan(states[0, :, 0])
+    assert lost.any() and np.all(lost[np.argmax(lost) :]) and not lost[: np.argmax(lost)].any()
+    assert np.isfinite(states[1]).all() and abs(states[1, -1, 0]) < 0.5
+    truth = np.zeros((2, 400, 1)) + [[[0.0]], [[-1.0]]]
+    assert list(metrics.diverged(truth, states)) == [True, False]
+
+
+def test_score_is_minus_nrmse_and_a_grid_search_runs(torque_data):
+    model = tras.KoopmanModel(tras.GaussianRBF(2)).fit(torque_data)
+    assert model.score(torque_data) == pytest.approx(-np.mean(metrics.nrmse(torque_data.states, model.predict(torque_data))))
+    grid = {"dictionary": [tras.Monomials(1), tras.GaussianRBF(3)], "predictor": ["vector_field", "one_step"]}
+    search = GridSearchCV(tras.KoopmanModel(tras.Monomials(1)), grid, cv=2, error_score="raise").fit(torque_data)
+    assert np.isfinite(search.best_score_) and search.best_estimator_.koopman_matrix.ndim == 2
+
+
+@pytest.mark.parametrize("predictor", PREDICTORS)
+@pytest.mark.parametrize("dictionary", [tras.Monomials(2), tras.GaussianRBF(4, seed=9)], ids=repr)
+def test_saved_model_predicts_the_same_bits(dictionary, predictor, torque_data, tmp_path):
+    model = tras.KoopmanModel(dictionary, predictor).fit(torque_data)
+    digests = set()
+    for name in ("a.npz", "b.npz"):
+        model.save(tmp_path / name)
+        digests.add(hashlib.sha256((tmp_path / name).read_bytes()).hexdigest())
+    assert len(digests) == 1
+    again = tras.load_model(tmp_path / "a.npz")
+    assert np.array_equal(again.predict(torque_data), model.predict(torque_data))
+    assert again.report() == model.report() and again.get_params()["predictor"] == predictor
+
+
+def test_loading_runs_no_code_and_names_bad_files(tmp_path, torque_data):
+    with pytest.raises(FileNotFoundError, match="none.npz does not exist"):
+        tras.load_model(tmp_path / "none.npz")
+    (tmp_path / "text.npz").write_text("hello")
+    with pytest.raises(ValueError, match="text.npz cannot be read as a model"):
+        tras.load_model(tmp_path / "text.npz")
+    np.savez(tmp_path / "pickle.npz", header=np.array([{"format": "tras model 1"}], dtype=object))
+    with pytest.raises(ValueError, match="pickle.npz cannot be read as a model.*allow_pickle"):
+        tras.load_model(tmp_path / "pickle.npz")
+    tras.KoopmanModel(tras.Monomials(1)).fit(torque_data).save(tmp_path / "good.npz")
+    with np.load(tmp_path / "good.npz") as file:
+        arrays = dict(file)
+    for change, words in ((("format", "tras model 99"), "tras model 99"), (("dictionary", {"name": "os", "parameters": {}}), "'os' is not one")):
+        header = json.loads(str(arrays["header"])) | dict([change])
+        np.savez(tmp_path / "other.npz", **{**arrays, "header": np.array(json.dumps(header))})
+        with pytest.raises(ValueError, match=words):
+            tras.load_model(tmp_path / "other.npz")
+
+
+def constant_input(experiment):
+    x, u = experiment.states, experiment.inputs[..., 2:].copy()
+    u[..., 1] = 0.5
+    return tras.Recording(x, u, 0.01, input_names=["u_phi", "u_psi"])
+
+
+@pytest.mark.parametrize(
+    "call, words",
+    [
+        (lambda e: tras.KoopmanModel(tras.Monomials(1), "magic").fit(e), "predictor is 'magic'; choose one of vector_field"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1), field="x").fit(e), "field is 'x'"),
+        (lambda e: tras.KoopmanModel(2).fit(e), "dictionary is 2; give one"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit([]), "recording is empty"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(e.states), "recording is ndarray; give a tras.Recording"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit([e, e.select(inputs=TORQUES)]), "recording 1 has input_names"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(constant_input(e)), "channel 'u_psi' is constant .0.5."),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1)).simulate([0], [[0]]), "not fitted"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(e).simulate([0, 0], e.inputs), "x0 has shape"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(e).simulate([0, 0, 0, 0], [0, 0]), "inputs has shape"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(e).simulate([0, 0, 0, np.inf], e.inputs), "NaN or infinity"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1), "one_step").fit(e).vector_field([0, 0, 0, 0]), "has no vector field"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(e).predict(e.select(inputs=TORQUES)), "no channel 'phi_ref'"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(e).predict(tras.Recording(e.states, e.inputs, 0.02, state_names=e.state_names, input_names=e.input_names)), "sampled at 0.02 s"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(e).save("model.pkl"), "ends in '.pkl'"),
+    ],
+)  # fmt: skip
+def test_mistakes_are_named(call, words, experiment):
+    with pytest.raises(ValueError, match=words):
+        call(experiment)
+
+
+def test_fit_leaves_the_dictionary_alone(torque_data):
+    dictionary = tras.GaussianRBF(2)
+    tras.KoopmanModel(dictionary).fit(torque_data)
+    assert not hasattr(dictionary, "centres_")

@@ -1,0 +1,57 @@
+"""The notebooks as they are stored: without results, runnable everywhere, and with the parameters that params/ says."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tras import parameters
+
+ROOT = Path(__file__).parent.parent
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+SET_BY_MAKE = {"data_dir": "data", "figures_dir": "figures"}  # the Makefile gives each profile its own folders
+LONGEST = 25  # lines in a cell: longer code belongs into the package
+
+each_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+
+
+def code_cells(path):
+    return [cell for cell in json.loads(path.read_text())["cells"] if cell["cell_type"] == "code"]
+
+
+def test_there_are_notebooks():
+    assert NOTEBOOKS
+
+
+@each_notebook
+def test_stored_without_results(path):
+    for cell in code_cells(path):
+        assert cell["outputs"] == [] and cell["execution_count"] is None, f"{path.name}: clear all outputs before saving"
+
+
+@each_notebook
+def test_kernel_is_python3(path):
+    assert json.loads(path.read_text())["metadata"]["kernelspec"]["name"] == "python3"
+
+
+@each_notebook
+def test_cells_are_short(path):
+    for cell in code_cells(path):
+        lines = "".join(cell["source"]).splitlines()
+        assert len(lines) <= LONGEST, f"{path.name}: {len(lines)} lines in the cell that begins with {lines[0]!r}"
+
+
+@each_notebook
+def test_defaults_are_the_papers(path):
+    """params/paper.yaml and the `parameters` cell (exactly one, or notebook_defaults complains) say the same."""
+    defaults = parameters.notebook_defaults(path)
+    assert {name: defaults.pop(name, None) for name in SET_BY_MAKE} == SET_BY_MAKE
+    paper = ROOT / "params" / "paper.yaml"
+    section = parameters.check_parameters(parameters.read_params(paper, path), defaults, str(paper))
+    assert section == defaults
+
+
+@each_notebook
+@pytest.mark.parametrize("params", sorted((ROOT / "params").glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_profile_fits(path, params):
+    parameters.check_parameters(parameters.read_params(params, path), parameters.notebook_defaults(path), str(params))

@@ -1,0 +1,151 @@
+"""Recordings: shapes, cutting, splitting, the file."""
+
+import hashlib
+
+import numpy as np
+import pytest
+import xarray
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import tras
+
+finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
+
+
+def ragged(lengths=(5, 3, 9), n=2, m=1):
+    rng = np.random.default_rng(0)
+    return tras.Recording([rng.normal(size=(k, n)) for k in lengths], [rng.normal(size=(k, m)) for k in lengths], 0.1)
+
+
+def same(a, b):
+    return (
+        all(np.array_equal(x, y) and np.array_equal(u, v) for (x, u), (y, v) in zip(a, b, strict=True))
+        and (a.dt, a.state_names, a.input_names, a.state_units, a.input_units) == (b.dt, b.state_names, b.input_names, b.state_units, b.input_units)
+    )
+
+
+@settings(max_examples=30, deadline=None)
+@given(lengths=st.lists(st.integers(1, 6), min_size=1, max_size=4), n=st.integers(1, 3), m=st.integers(0, 2), data=st.data())
+def test_file_round_trip_is_exact(lengths, n, m, data, tmp_path_factory):
+    draw = lambda k, c: np.array(data.draw(st.lists(finite, min_size=k * c, max_size=k * c))).reshape(k, c)  # noqa: E731
+    recording = tras.Recording(
+        [draw(k, n) for k in lengths], [draw(k, m) for k in lengths], data.draw(st.floats(1e-6, 1e6)),
+        state_names=[f"q{i}" for i in range(n)], state_units=["rad"] * n, attributes={"seed": 3, "who": "me", "limits": (1.0, 2.0)},
+    )  # fmt: skip
+    path = tmp_path_factory.mktemp("nc") / "a.nc"
+    recording.write(path)
+    again = tras.Recording.read(path)
+    assert same(recording, again)
+    assert again.attributes == {"seed": 3, "who": "me", "limits": [1.0, 2.0]}
+
+
+def test_same_content_same_bytes_and_nothing_else_left(tmp_path):
+    digests = set()
+    for name in ("a.nc", "b.nc"):
+        ragged().write(tmp_path / name)
+        digests.add(hashlib.sha256((tmp_path / name).read_bytes()).hexdigest())
+    assert len(digests) == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.nc", "b.nc"]
+
+
+def test_any_netcdf_reader_finds_names_and_units(tmp_path, experiment):
+    experiment.write(tmp_path / "a.nc")
+    with xarray.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as dataset:
+        assert dataset["phidot"].attrs["units"] == "rad/s" and dataset["u_psi"].attrs["units"] == "N m"
+        assert dataset["row_size"].sum() == dataset.sizes["sample"] == len(experiment) * 501
+        assert np.array_equal(dataset["phi"][:501], experiment.states[0, :, 0])
+
+
+def test_failed_write_leaves_nothing(tmp_path, monkeypatch):
+    def full(*args, **kwargs):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(xarray.Dataset, "to_netcdf", full)
+    with pytest.raises(OSError, match="a.nc could not be written .No space left on device."):
+        ragged().write(tmp_path / "a.nc")
+    assert list(tmp_path.iterdir()) == []
+
+
+@given(samples=st.integers(2, 60), piece=st.integers(2, 60))
+def test_cut_shares_end_points_and_keeps_every_pair_it_can(samples, piece):
+    recording = tras.Recording(np.arange(samples, dtype=float).reshape(1, -1, 1), dt=1.0)
+    if piece > samples:
+        with pytest.raises(ValueError, match="samples = "):
+            recording.cut(piece)
+        return
+    pieces = recording.cut(piece)
+    assert len(pieces) == (samples - 1) // (piece - 1)
+    joined = np.concatenate([x[:-1, 0] for x, _ in pieces])
+    assert np.array_equal(joined, np.arange(len(joined)))
+    assert pieces.pairs == len(joined)
+
+
+def test_split_is_a_partition_by_seed(experiment):
+    first, second = experiment.split(0.8, seed=0)
+    assert (len(first), len(second)) == (16, 4)
+    starts = sorted([*first.states[:, 0, 0], *second.states[:, 0, 0]])
+    assert np.array_equal(starts, np.sort(experiment.states[:, 0, 0]))
+    assert same(first, experiment.split(0.8, seed=0)[0]) and not same(first, experiment.split(0.8, seed=1)[0])
+
+
+def test_indexing_and_shapes():
+    recording = ragged()
+    assert isinstance(recording.states, list) and [len(x) for x in recording.states] == [5, 3, 9]
+    assert recording.pairs == 14 and len(recording) == 3
+    assert recording[1].states.shape == (1, 3, 2) and len(recording[[0, 2]]) == 2 and len(recording[-1:]) == 1
+    assert np.array_equal(recording[-1].states[0], recording.states[2])
+    assert not hasattr(recording, "shape")  # scikit-learn would index it as a matrix
+
+
+def test_select_reorders_channels(experiment):
+    chosen = experiment.select(states=["psi", "phi"], inputs=["u_psi"])
+    assert chosen.state_names == ("psi", "phi") and chosen.input_units == ("N m",)
+    assert np.array_equal(chosen.states, experiment.states[..., [2, 0]])
+
+
+R = tras.Recording
+ZEROS = np.zeros((2, 5, 3))
+
+
+@pytest.mark.parametrize(
+    "call, words",
+    [
+        (lambda: R(ZEROS), "dt is None"),
+        (lambda: R(ZEROS, dt=-1), "dt is -1"),
+        (lambda: R(np.zeros((5, 3)), dt=1), "give .trajectories, samples, channels."),
+        (lambda: R([], dt=1), "no trajectory"),
+        (lambda: R([np.zeros((0, 3))], dt=1), "trajectory 0 has no samples"),
+        (lambda: R([np.zeros((4, 3)), np.zeros((4, 2))], dt=1), "trajectory 1 has 2 channels but the first has 3"),
+        (lambda: R(ZEROS, np.zeros((1, 5, 1)), 1), "inputs has 1 trajectories but states has 2"),
+        (lambda: R(ZEROS, np.zeros((2, 4, 1)), 1), "trajectory 0 has 5 samples of states but 4 of inputs"),
+        (lambda: R([[["a"]]], dt=1), "cannot be read as numbers"),
+        (lambda: R(ZEROS, dt=1, state_names=["a", "b"]), "state_names has 2 entries"),
+        (lambda: R(ZEROS, dt=1, state_names=["a", "b", "a"]), "repeat a name"),
+        (lambda: R(ZEROS, np.zeros((2, 5, 1)), 1, state_names=list("abc"), input_names=["c"]), "'c' stands for a state and for an input"),
+        (lambda: R(np.full((1, 5, 1), np.nan), dt=1), "channel 'x1' is nan in trajectory 0 at sample 0"),
+        (lambda: R(ZEROS, dt=1).select(states=["theta"]), "no channel 'theta'"),
+        (lambda: R(ZEROS, dt=1).split(0.1, 0), "leaves one side empty"),
+        (lambda: R(ZEROS, dt=1).cut(1), "samples = 1"),
+        (lambda: R(ZEROS, dt=1).write("a.csv"), "ends in '.csv'"),
+    ],
+)
+def test_mistakes_are_named(call, words):
+    with pytest.raises(ValueError, match=words):
+        call()
+
+
+def test_bad_files_are_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match="missing.nc does not exist"):
+        R.read(tmp_path / "missing.nc")
+    (tmp_path / "text.nc").write_text("not a recording")
+    with pytest.raises(ValueError, match="text.nc cannot be read as a recording"):
+        R.read(tmp_path / "text.nc")
+    ragged().write(tmp_path / "whole.nc")
+    whole = (tmp_path / "whole.nc").read_bytes()
+    (tmp_path / "half.nc").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(ValueError, match="half.nc cannot be read as a recording"):
+        R.read(tmp_path / "half.nc")
+    xarray.Dataset({"a": ("b", [1.0])}).to_netcdf(tmp_path / "other.nc", engine="h5netcdf")
+    with pytest.raises(ValueError, match="attribute 'format' is None"):
+        R.read(tmp_path / "other.nc")

@@ -1,0 +1,207 @@
+"""Staleness by content: what makes a stage out of date, and what does not."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tras import staleness
+
+INIT = '''
+import importlib
+_ROOMS = {"simulate": "plant", "fit": "model", "draw": "figures", "metrics": "metrics"}
+def __getattr__(name):
+    return importlib.import_module(f"tras.{_ROOMS[name]}")
+'''
+MODULES = {
+    "__init__": INIT,
+    "plant": "def simulate():\n    return 1\n",
+    "dictionary": "from .plant import simulate\n",
+    "model": "def fit():\n    from tras.dictionary import simulate\n",
+    "metrics": "import tras.plant as p\n",
+    "figures": "STYLE = 'tras.mplstyle'\ndef draw():\n    return 1\n",
+    "lonely": "",
+}
+PARAMS = "01_fit:\n  n: 1  # samples\n02_draw:\n  colour: grey\n"
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch):
+    """Two stages: 01_fit uses model -> dictionary -> plant, 02_draw uses figures and its style."""
+    for folder in ("tras", "notebooks"):
+        (tmp_path / folder).mkdir()
+    for name, source in MODULES.items():
+        (tmp_path / "tras" / f"{name}.py").write_text(source)
+    (tmp_path / "tras" / "tras.mplstyle").write_text("lines.linewidth: 1\n")
+    (tmp_path / "params.yaml").write_text(PARAMS)
+    (tmp_path / "environment.txt").write_text("numpy==2\n")
+    write_notebook(tmp_path / "notebooks" / "01_fit.ipynb", "from tras import fit", "fit()")
+    write_notebook(tmp_path / "notebooks" / "02_draw.ipynb", "import tras", "tras.draw()")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def write_notebook(path, *sources, text="Some text.", outputs=()):
+    cells = [{"cell_type": "markdown", "source": [text], "metadata": {}}]
+    for source in sources:
+        cells.append({"cell_type": "code", "source": source, "metadata": {}, "outputs": list(outputs), "execution_count": None})
+    path.write_text(json.dumps({"cells": cells, "metadata": {}, "nbformat": 4, "nbformat_minor": 5}))
+
+
+def stale():
+    """Run; the names of the stages whose key file was rewritten."""
+    notebooks = sorted(Path("notebooks").glob("*.ipynb"))
+    keys = [Path("build", f"{notebook.stem}.key") for notebook in notebooks]
+    for key in keys:
+        if key.exists():
+            os.utime(key, (1, 1))
+    staleness.main(["--build", "build", "--params", "params.yaml", *map(str, notebooks)])
+    return [key.stem for key in keys if key.stat().st_mtime != 1]
+
+
+def change(path, old, new):
+    text = Path(path).read_text()
+    assert old in text
+    Path(path).write_text(text.replace(old, new))
+
+
+def test_first_time_all_then_none(project):
+    assert stale() == ["01_fit", "02_draw"]
+    assert stale() == []
+
+
+HARMLESS = {
+    "touch": lambda: [path.touch() for path in Path().rglob("*") if path.is_file()],
+    "comment and blank lines": lambda: change("tras/plant.py", "def", "# a comment\n\n\ndef"),
+    "text of a notebook": lambda: change("notebooks/01_fit.ipynb", "Some text.", "Other text."),
+    "outputs": lambda: write_notebook(Path("notebooks/01_fit.ipynb"), "from tras import fit", "fit()", outputs=[{"output_type": "stream"}]),
+    "metadata": lambda: change("notebooks/01_fit.ipynb", '"metadata": {}, "nbformat"', '"metadata": {"a": 1}, "nbformat"'),
+    "comment in the parameters": lambda: change("params.yaml", "# samples", "# number of samples"),
+    "a module that nobody imports": lambda: change("tras/lonely.py", "", "x = 1"),
+    "a new module": lambda: Path("tras/new.py").write_text("x = 1"),
+    "a new public name": lambda: change("tras/__init__.py", '"fit": "model"', '"fit": "model", "x": "lonely"'),
+}
+
+
+@pytest.mark.parametrize("what", HARMLESS)
+def test_what_cannot_change_a_result_reruns_nothing(project, what):
+    stale()
+    HARMLESS[what]()
+    assert stale() == []
+
+
+HARMFUL = [
+    ("notebooks/01_fit.ipynb", "fit()", "fit(2)", ["01_fit"]),
+    ("tras/model.py", "fit", "fit2", ["01_fit"]),
+    ("tras/plant.py", "return 1", "return 2", ["01_fit"]),  # through model and dictionary
+    ("tras/figures.py", "return 1", "return 2", ["02_draw"]),
+    ("tras/tras.mplstyle", "1", "2", ["02_draw"]),
+    ("tras/metrics.py", "as p", "as q", []),
+    ("tras/__init__.py", "def __getattr__", "x = 1\ndef __getattr__", ["01_fit", "02_draw"]),
+    ("tras/__init__.py", '"draw": "figures"', '"draw": "metrics"', ["02_draw"]),
+    ("params.yaml", "n: 1", "n: 2", ["01_fit"]),
+    ("params.yaml", "grey", "blue", ["02_draw"]),
+    ("params.yaml", "n: 1", "n: &here 1", ["01_fit", "02_draw"]),  # an anchor: sections cannot be cut
+    ("environment.txt", "2", "3", ["01_fit", "02_draw"]),
+]
+
+
+@pytest.mark.parametrize("path, old, new, expected", HARMFUL)
+def test_what_can_change_a_result_reruns_who_depends_on_it(project, path, old, new, expected, capsys):
+    stale()
+    change(path, old, new)
+    assert stale() == expected
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == expected
+    assert stale() == []
+
+
+# Code -> the modules that it needs besides the package itself; None: not even the package.
+IMPORTS = {
+    "import tras": set(),
+    "import tras\ntras.draw": {"figures"},
+    "import tras as t\nt.fit()": {"model"},
+    "import tras\ntras.metrics.enr(1, 2)": {"metrics"},
+    "import tras\ntras.__version__": set(),
+    "import tras.plant": {"plant"},
+    "import tras.plant as p\np.simulate": {"plant"},
+    "import tras.plant\ntras.fit": {"plant", "model"},
+    "from tras import plant": {"plant"},
+    "from tras.plant import simulate as s": {"plant"},
+    "def f():\n    from tras.model import fit": {"model"},
+    "from importlib import import_module\nimport_module('tras.plant')": {"plant"},
+    "if TYPE_CHECKING:\n    import tras.plant": None,
+    "import numpy.tras\nfrom trash import plant": None,
+    "%matplotlib inline\nfrom tras import plant": {"plant"},
+    "%%time\nfrom tras import plant": {"plant"},
+    "x = (1\n     % 2)\nimport tras.plant": {"plant"},
+}
+ALL = set(MODULES) - {"__init__"}
+IMPORTS |= dict.fromkeys(
+    [
+        "import tras\ntras.unknown",
+        "import tras\ngetattr(tras, name)",
+        "from tras import *",
+        "from tras import unknown",
+        "from importlib import import_module\nimport_module(name)",
+        "this is no Python",
+    ],
+    ALL,
+)
+
+
+@pytest.mark.parametrize("code", IMPORTS)
+def test_imports_are_resolved(project, code):
+    package = staleness.Package(Path("tras"))
+    found = package.needs(staleness.cells_tree([code]))
+    expected = IMPORTS[code]
+    assert found == (set() if expected is None else {f"tras.{name}" for name in expected} | {"tras"})
+
+
+RELATIVE = {
+    "from .plant import simulate": {"plant"},
+    "from . import plant, metrics": {"plant", "metrics"},
+    "from . import fit": {"model"},
+    "from .. import plant": set(),
+}
+
+
+@pytest.mark.parametrize("code", RELATIVE)
+def test_relative_imports_are_resolved(project, code):
+    package = staleness.Package(Path("tras"))
+    found = package.needs(staleness.cells_tree([code]), "tras.model")
+    assert found - {"tras"} == {f"tras.{name}" for name in RELATIVE[code]}
+
+
+def test_outputs_that_changed_since_make_their_stage_stale(project, capsys):
+    Path("a.csv").write_text("1")
+    stale()
+    status = Path("a.csv").stat()
+    written = {"size": 1, "mtime_ns": status.st_mtime_ns, "sha256": "6b86b273ff34fce19d6b804eff5a3f5747ada4eaa22f1d49c01e52ddb7875b4b"}
+    Path("build/01_fit.json").write_text(json.dumps({"outputs": {"a.csv": written}}))
+    assert stale() == []
+    Path("a.csv").touch()
+    assert stale() == []
+    Path("a.csv").write_text("2")
+    assert stale() == ["01_fit"]
+    Path("a.csv").unlink()
+    assert stale() == ["01_fit"]
+    assert "a.csv deleted or changed since" in capsys.readouterr().out
+
+
+def test_missing_files_are_named(project):
+    with pytest.raises(SystemExit, match="none.yaml cannot be read"):
+        staleness.main(["--build", "build", "--params", "none.yaml", "notebooks/01_fit.ipynb"])
+    with pytest.raises(SystemExit, match="none.ipynb cannot be read"):
+        staleness.main(["--build", "build", "--params", "params.yaml", "notebooks/none.ipynb"])
+    Path("notebooks/01_fit.ipynb").write_text("{}")
+    with pytest.raises(SystemExit, match="is not a notebook"):
+        staleness.main(["--build", "build", "--params", "params.yaml", "notebooks/01_fit.ipynb"])
+
+
+def test_it_runs_as_a_plain_script_without_packages(project):
+    command = [sys.executable, "-I", "-S", staleness.__file__, "--build", "build", "--params", "params.yaml", "notebooks/01_fit.ipynb"]
+    subprocess.run(command, check=True)
+    assert "tras.plant: " in Path("build/01_fit.key").read_text()

@@ -1,0 +1,244 @@
+"""Run one notebook with checked parameters, and leave either a complete result or none.
+
+    python -m tras.runner NOTEBOOK EXECUTED [--params FILE.yaml] [--set name=value ...] [--outputs PATH ...]
+
+A parameter whose name or type the notebook's `parameters` cell does not know is an error (`tras.parameters`).
+
+The executed notebook appears under its final name as the very last act of a successful run, so that make can take it as its
+stamp. Beside it, `EXECUTED.json` says what ran: parameters, revision, versions, machine, checksums of the outputs.
+"""
+
+import argparse
+import datetime
+import hashlib
+import json
+import os
+import platform
+import re
+import signal
+import subprocess
+import sys
+import time
+from importlib import metadata
+from pathlib import Path
+
+from tras.files import replacing
+from tras.parameters import ParameterError, check_parameters, notebook_defaults, parse_settings, read_params
+
+KERNEL = "python3"
+# The same bits whoever starts the run: sums depend on the number of BLAS threads. Set outside, a value is kept.
+PINNED = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
+
+
+class RunError(RuntimeError):
+    """The notebook ran and did not do what it should."""
+
+
+class Interrupted(KeyboardInterrupt):
+    """SIGINT or SIGTERM; the argument is its number."""
+
+    received = False  # the kernel manager asks here whether to wait for the kernel's farewell
+
+
+# --- the run -------------------------------------------------------------------------------------------------------------------
+
+
+def run_notebook(notebook, executed, parameters=None, outputs=()):
+    """Execute a notebook; its executed copy appears under its final name only if everything went well.
+
+    Parameters
+    ----------
+    notebook, executed : str or Path
+        The source and where the executed copy goes.
+    parameters : dict, optional
+        Name -> value, already checked: they replace the defaults.
+    outputs : sequence of str or Path
+        Files that the notebook must write.
+
+    Returns
+    -------
+    float
+        Seconds taken.
+
+    Raises
+    ------
+    RunError
+        When a cell fails, the kernel dies or an output is not written. The notebook up to there is kept as `*.failed.ipynb`.
+    """
+    notebook, executed, outputs = Path(notebook), Path(executed), [Path(output) for output in outputs]
+    running, failed, record = (executed.with_suffix(end) for end in (".running.ipynb", ".failed.ipynb", ".json"))
+    for folder in {path.parent for path in (executed, *outputs)}:
+        folder.mkdir(parents=True, exist_ok=True)
+    for leftover in (executed, record, running, failed):
+        leftover.unlink(missing_ok=True)
+    start, began = time.time(), datetime.datetime.now(datetime.timezone.utc)
+    try:
+        _execute(notebook, running, parameters or {})
+        _check_outputs(outputs, start, notebook)
+        seconds = time.time() - start
+        provenance = _provenance(notebook, parameters or {}, outputs, began, seconds)
+        with replacing(record) as temporary:
+            temporary.write_text(json.dumps(provenance, indent=1) + "\n", encoding="utf-8")
+        os.replace(running, executed)
+        return seconds
+    except RunError as error:
+        if running.exists():
+            os.replace(running, failed)
+            raise RunError(f"{error}\nThe notebook as far as it came: {failed}") from None
+        raise
+    except BaseException:
+        running.unlink(missing_ok=True)
+        raise
+
+
+def _execute(notebook, running, parameters):
+    """Papermill, with its failures as one RunError."""
+    for name, value in PINNED.items():
+        os.environ.setdefault(name, value)
+    sys.modules.setdefault("rfc3987_syntax", None)  # an optional validator that costs 1.1 s at import and is not needed here
+    import papermill
+    from jupyter_client import AsyncKernelManager
+    from jupyter_client.kernelspec import NoSuchKernel
+    from nbclient.exceptions import CellTimeoutError, DeadKernelError
+
+    class Manager(AsyncKernelManager):
+        transport_encryption = "auto"  # else ipykernel 7.3 and later warn at every start
+        shutdown_wait_time = 1.0  # s; one kernel in fifteen never answers the farewell, and the default would wait 3.4 s for it
+
+        async def shutdown_kernel(self, now=False, restart=False):
+            """A kernel that is asked politely in the middle of a cell prints tracebacks; after an interrupt it is killed."""
+            await super().shutdown_kernel(now=now or Interrupted.received, restart=restart)
+
+    try:
+        papermill.execute_notebook(
+            notebook,
+            running,
+            parameters,
+            kernel_name=KERNEL,
+            progress_bar=sys.stderr.isatty(),
+            cwd=notebook.resolve().parent,  # as JupyterLab has it
+            kernel_manager_class=Manager,
+        )
+    except papermill.PapermillExecutionError as error:
+        cell = "\n".join(f"    {line}" for line in error.source.splitlines())
+        raise RunError(
+            f"{notebook.stem} failed in cell [{error.exec_count}]: {error.ename}: {error.evalue}\nThe cell:\n{cell}"
+        ) from None
+    except (DeadKernelError, CellTimeoutError) as error:
+        raise RunError(f"{notebook.stem}: the kernel ended in the middle of a cell ({error}); was the memory enough?") from None
+    except NoSuchKernel:
+        raise RunError(f"{notebook.stem}: this Python has no kernel `{KERNEL}`: run `make setup` and use .venv.") from None
+
+
+def _check_outputs(outputs, start, notebook):
+    slack = 0.05  # s; a file's time comes from a coarser clock than ours
+    for output in outputs:
+        if not output.exists() or output.stat().st_mtime < start - slack:
+            found = "is not there" if not output.exists() else "is still the one from before"
+            raise RunError(f"{notebook.stem} ran to its end, but {output} {found}: let the notebook write it or drop it from make's list.")
+
+
+def _provenance(notebook, parameters, outputs, began, seconds):
+    """What ran, for the record beside the executed notebook; it never enters files that are compared."""
+    revision, dirty = _git(notebook.resolve().parent)
+    return {
+        "notebook": str(notebook),
+        "parameters": {**notebook_defaults(notebook), **parameters},
+        "git": {"revision": revision, "dirty": dirty},
+        "python": platform.python_version(),
+        "packages": _versions(),
+        "platform": platform.platform(),
+        "processor": _processor(),
+        "threads": {name: os.environ.get(name) for name in PINNED},
+        "started": began.isoformat(timespec="seconds"),
+        "seconds": round(seconds, 2),
+        "outputs": {str(output): _checksum(output) for output in outputs},
+    }
+
+
+def _checksum(path):
+    status = path.stat()
+    return {"size": status.st_size, "mtime_ns": status.st_mtime_ns, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+
+
+def _git(folder):
+    """Revision, and whether the tree differs from it; (None, None) outside git or without commits."""
+    answers = []
+    for command in (["rev-parse", "HEAD"], ["status", "--porcelain"]):
+        try:
+            answers.append(subprocess.run(["git", *command], cwd=folder, capture_output=True, text=True, check=True).stdout.strip())
+        except (OSError, subprocess.CalledProcessError):
+            return None, None
+    return answers[0], bool(answers[1])
+
+
+def _versions():
+    """Installed versions of the direct dependencies, which `environment.in` lists."""
+    listed = Path(__file__).parent.parent / "environment.in"
+    names = re.findall(r"^[A-Za-z0-9_.-]+", listed.read_text(encoding="utf-8"), re.MULTILINE) if listed.exists() else []
+    versions = {}
+    for name in names:
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            versions[name] = None
+    return versions
+
+
+def _processor():
+    try:
+        return re.search(r"^model name\s*: (.*)", Path("/proc/cpuinfo").read_text(), re.MULTILINE)[1]
+    except (OSError, TypeError):
+        return platform.processor() or platform.machine()
+
+
+# --- the command line ----------------------------------------------------------------------------------------------------------
+
+
+def _interrupt(number, _frame):
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, signal.SIG_IGN)  # one is enough: the kernel is being ended
+    Interrupted.received = True
+    raise Interrupted(number)
+
+
+def main(arguments=None):
+    """Command line; returns the exit code: 0, 1 (the run failed), 2 (the call was wrong), 130 or 143 (interrupted)."""
+    parser = argparse.ArgumentParser(prog="python -m tras.runner", description="Run one notebook with checked parameters.")
+    parser.add_argument("notebook", type=Path)
+    parser.add_argument("executed", type=Path, help="where the executed notebook goes")
+    parser.add_argument("--params", type=Path, metavar="FILE.yaml", help="parameters, one section a notebook")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="one parameter more; wins over the file")
+    parser.add_argument("--outputs", nargs="*", default=[], metavar="PATH", help="files that the run must write")
+    options = parser.parse_args(arguments)
+    Interrupted.received = False
+    handlers = {each: signal.signal(each, _interrupt) for each in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        defaults = notebook_defaults(options.notebook)
+        section = read_params(options.params, options.notebook) if options.params else {}
+        parameters = check_parameters(section, defaults, f"{options.params}, section {options.notebook.stem}")
+        parameters.update(check_parameters(parse_settings(options.set), defaults, f"--set for {options.notebook.stem}"))
+        seconds = run_notebook(options.notebook, options.executed, parameters, options.outputs)
+        print(f"{options.notebook.stem}  {seconds:.1f} s", flush=True)
+        return 0
+    except ParameterError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except RunError as error:
+        print(error, file=sys.stderr)
+        return 1
+    except OSError as error:
+        found = f"{error.filename}: {error.strerror}" if error.filename else error
+        print(f"{options.notebook.stem}: {found}; nothing was left under the name {options.executed}.", file=sys.stderr)
+        return 1
+    except Interrupted as interrupt:
+        number = interrupt.args[0]
+        print(f"{options.notebook.stem} was interrupted; nothing was left under the name {options.executed}.", file=sys.stderr)
+        return 128 + number
+    finally:
+        for each, handler in handlers.items():
+            signal.signal(each, handler)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
