@@ -24,8 +24,13 @@ WIDTH = 3.5  # one journal column, inches
 # Roles that recur from figure to figure look the same in all of them.
 TRUTH = {"color": "black", "linestyle": ":", "linewidth": 1.3}
 MODEL = {"color": "#0072B2", "linestyle": "-", "linewidth": 1.1}
-
-LINEAR = {"color": "#D55E00", "linestyle": "--", "linewidth": 0.9}
+LINEAR = {"color": "#D55E00", "linestyle": (0, (4, 3)), "linewidth": 1.1}
+MODEL_NAMES = {
+    "linear": "linear",
+    "gaussian": "Gaussian RBF, 2 centres",
+    "gaussian28": "Gaussian RBF, many centres",
+    "monomials2": "monomials, degree 2",
+}
 _SPECTRUM_MARKERS = [
     {"marker": "o", "markerfacecolor": "none", "color": "#0072B2", "markersize": 5},
     {"marker": "x", "color": "#D55E00", "markersize": 4},
@@ -171,9 +176,9 @@ def overlay_figure(table):
     for column, name in zip(axes.T, inputs):
         window = table[table["input"] == name]
         for panel, angle in zip(column, ("psi", "phi")):
-            panel.plot(window["time"], window[f"{angle}_linear"], **LINEAR, label="linear model")
+            panel.plot(window["time"], window[f"{angle}_true"], **TRUTH, label="truth", zorder=3)
             panel.plot(window["time"], window[f"{angle}_koopman"], **MODEL, label="Koopman")
-            panel.plot(window["time"], window[f"{angle}_true"], **TRUTH, label="truth")
+            panel.plot(window["time"], window[f"{angle}_linear"], **LINEAR, label="linear model")
         column[0].set_title(f"input: {name}")
         column[-1].set(xlabel="time (s)", xlim=(window["time"].min(), window["time"].max()))
     for panel, label in zip(axes[:, 0], (r"yaw $\psi$ (rad)", r"pitch $\phi$ (rad)")):
@@ -202,7 +207,7 @@ def spectrum_figure(table):
     discrete.plot(np.cos(angle), np.sin(angle), color="0.6", linestyle="-", linewidth=0.7)
     continuous.axvline(0, color="0.6", linestyle="-", linewidth=0.7)
     for (name, group), style in zip(table.groupby(["input", "model"], sort=False), _SPECTRUM_MARKERS):
-        label = f"{', '.join(name)}"
+        label = f"{name[0]}, {'linear' if name[1] == 'linear' else 'Gaussian RBF'}"
         discrete.plot(group["real"], group["imag"], linestyle="none", label=label, **style)
         continuous.plot(group["rate_real"], group["rate_imag"], linestyle="none", **style)
     low = min(table["real"].min(), 1) - reach / 4
@@ -210,6 +215,7 @@ def spectrum_figure(table):
     discrete.set_title("$K$, and the unit circle")
     continuous.set(xlabel=r"real part (s$^{-1}$)", ylabel=r"imaginary part (s$^{-1}$)")
     continuous.margins(0.1)
+    figure.get_layout_engine().set(wspace=0.08)
     continuous.set_title(r"$A = \log(K)/T_s$")
     figure.legend(loc="outside lower center", ncols=2, columnspacing=1.0, handletextpad=0.1)
     return figure
@@ -235,7 +241,7 @@ def horizon_figure(table):
         for panel, name in zip(row, dict.fromkeys(table["input"])):
             chosen = table[(table["angle"] == angle) & (table["input"] == name)]
             for model, line in chosen.groupby("model", sort=False):
-                panel.semilogy(line["time"], line["nrmse"], label=model)
+                panel.semilogy(line["time"], line["nrmse"], label=MODEL_NAMES.get(model, model))
             panel.set_title(f"{angle}, input: {name}")
     for panel in axes[-1]:
         panel.set_xlabel("time ahead (s)")

@@ -18,17 +18,20 @@ from tras.files import replacing
 PAPER_NRMSE = {"yaw": 4.0589, "pitch": 5.5889}  # percent, paper, Sec. III
 COLUMNS = [("reference", "gaussian"), ("reference", "linear"), ("torque", "gaussian"), ("torque", "linear")]
 HEADINGS = ["paper", "ours, input = reference", "linear, reference", "ours, input = torque", "linear, torque"]
+_MISSING = "not given"
 BEGIN, END = "<!-- table: written by `make readme` -->", "<!-- end of table -->"
-_METRICS = {"nrmse": "NRMSE (%)", "enr": "Enr", "bfr": "BFR (%)"}
+_METRICS = {"nrmse": "NRMSE (%)", "enr": "Enr", "bfr": "BFR (%)", "condition": "condition number of the liftings"}
 
 
-def comparison(metrics, window, free_run):
-    """The numbers of the table: the metrics of both angles over the independent multisine recordings.
+def comparison(metrics, identification, window, free_run):
+    """The numbers of the table: the metrics of both angles over the independent multisine recordings, and the conditioning.
 
     Parameters
     ----------
     metrics : pandas.DataFrame
         As `tras.validation.score` gives it, with the columns ``input, model`` beside.
+    identification : pandas.DataFrame
+        Columns ``input, model, condition``.
     window, free_run : float
         The two horizons in s.
 
@@ -36,11 +39,12 @@ def comparison(metrics, window, free_run):
     -------
     pandas.DataFrame
         Columns ``horizon, metric, angle, input, model, median, lowest, highest`` (over the recordings), ``windows, diverged``. The paper's
-        own numbers have the input ``paper``.
+        own numbers have the input ``paper``, the condition number of the liftings the horizon 0.
     """
     import pandas as pd
 
-    chosen = metrics[metrics["recording"].str.startswith("multisine")]
+    chosen = metrics[metrics["recording"].str.startswith("multisine")].set_index(["input", "model", "horizon", "angle"]).sort_index()
+    condition = identification.set_index(["input", "model"])["condition"]
     rows = []
     for horizon, name in [(window, "nrmse"), (window, "enr"), (window, "bfr"), (free_run, "nrmse")]:
         for angle in ("yaw", "pitch"):
@@ -48,9 +52,12 @@ def comparison(metrics, window, free_run):
                 value = PAPER_NRMSE[angle]
                 rows.append((horizon, name, angle, "paper", "paper", value, value, value, 0, 0))
             for source in COLUMNS:
-                here = chosen[(chosen[["input", "model"]] == source).all(axis=1) & (chosen["angle"] == angle) & (chosen["horizon"] == horizon)]
+                here = chosen.loc[[(*source, horizon, angle)]]
                 v = here[name]
                 rows.append((horizon, name, angle, *source, v.median(), v.min(), v.max(), here["windows"].sum(), here["diverged"].sum()))
+    for source in COLUMNS:
+        value = condition[source]
+        rows.append((0, "condition", "", *source, value, value, value, 0, 0))
     columns = ["horizon", "metric", "angle", "input", "model", "median", "lowest", "highest", "windows", "diverged"]
     return pd.DataFrame(rows, columns=columns)
 
@@ -98,20 +105,22 @@ def _cells(rows):
     longest = max(row["horizon"] for row in rows)
     for (horizon, metric, angle), group in itertools.groupby(rows, key=lambda row: (row["horizon"], row["metric"], row["angle"])):
         kind = "free run" if horizon == longest else "windows"
+        label = f"{_METRICS[metric]}, {angle}, {horizon:g} s {kind}" if horizon else _METRICS[metric]
         by_source = {(row["input"], row["model"]): row for row in group}
-        sources = [("paper", "paper"), *COLUMNS]
-        cells.append([f"{_METRICS[metric]}, {angle}, {horizon:g} s {kind}", *(_number(by_source.get(source)) for source in sources)])
-    for horizon in dict.fromkeys(row["horizon"] for row in rows):
+        cells.append([label, *(_number(by_source.get(source)) for source in [("paper", "paper"), *COLUMNS])])
+    for horizon in sorted({row["horizon"] for row in rows} - {0}):
         counts = {(row["input"], row["model"]): f"{row['diverged']} of {row['windows']}" for row in rows if row["horizon"] == horizon}
-        cells.append([f"diverged, {horizon:g} s", "not said", *(counts[source] for source in COLUMNS)])
+        cells.append([f"diverged, {horizon:g} s", _MISSING, *(counts[source] for source in COLUMNS)])
     return cells
 
 
 def _number(row):
     if row is None:
-        return "not said"
+        return _MISSING
     if math.isnan(row["median"]):
         return "all diverged"
+    if row["metric"] == "condition":
+        return f"{row['median']:.1e}"
     if row["lowest"] == row["highest"]:
         return f"{row['median']:.5g}"
     digits = 3 if row["highest"] < 1 else 2 if row["highest"] < 10 else 1

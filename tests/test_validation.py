@@ -1,0 +1,129 @@
+"""Scoring on windows, and the table made from it."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import tras
+from tras import metrics, tables, validation
+
+ROOT = Path(__file__).parent.parent
+
+
+class Late:
+    """Predicts the truth plus a known error; window ``bad`` runs away."""
+
+    def __init__(self, error=0.0, bad=None):
+        self.error, self.bad = error, bad
+
+    def predict(self, recording):
+        states = recording.states + self.error
+        if self.bad is not None:
+            states[self.bad, -1] = np.nan
+        return states
+
+
+@pytest.fixture(scope="module")
+def two(experiment):
+    return {"first": experiment[:10], "second": experiment[10:]}
+
+
+def test_score_splits_windows_back_to_their_recordings(two):
+    scores = validation.score(Late(error=[0.1, 0, 0.2, 0]), two, 2.5)
+    assert list(scores["windows"]) == [20] * 4 and list(scores["diverged"]) == [0] * 4
+    for row in scores.itertuples():
+        true = two[row.recording].cut(251).states[..., [{"pitch": 0, "yaw": 2}[row.angle]]]
+        wrong = true + {"pitch": 0.1, "yaw": 0.2}[row.angle]
+        for name in ("enr", "bfr", "nrmse"):
+            assert getattr(row, name) == pytest.approx(getattr(metrics, name)(true, wrong)[0])
+
+
+def test_diverged_windows_are_counted_and_left_out(two):
+    scores = validation.score(Late(error=0.1, bad=[3, 4, 12]), two, 5.0).set_index(["recording", "angle"])
+    assert list(scores["diverged"]) == [2, 2, 1, 1]
+    kept = two["second"].cut(501).states[[0, 1, 3, 4, 5, 6, 7, 8, 9]][..., [2]]
+    assert scores.loc[("second", "yaw"), "nrmse"] == pytest.approx(metrics.nrmse(kept, kept + 0.1)[0])
+    gone = validation.score(Late(bad=slice(None)), two, 5.0)
+    assert gone["nrmse"].isna().all() and list(gone["diverged"]) == [10] * 4
+
+
+def test_error_growth_is_the_error_at_each_instant(experiment):
+    class Drift:
+        def predict(self, recording):
+            return recording.states + np.arange(recording.lengths[0])[:, None] * 1e-3
+
+    growth = validation.error_growth(Drift(), experiment, 5.0, every=100)
+    span = np.ptp(experiment.states[..., 2])
+    yaw = growth[growth["angle"] == "yaw"]
+    assert np.allclose(yaw["time"], [1, 2, 3, 4, 5])
+    assert np.allclose(yaw["nrmse"], 100 * np.array([0.1, 0.2, 0.3, 0.4, 0.5]) / span)
+
+
+def test_typical_window_is_the_median_one(experiment):
+    class Graded:
+        def predict(self, recording):
+            return recording.states + np.random.default_rng(0).permutation(len(recording))[:, None, None] * 0.01
+
+    index = validation.typical_window(Graded(), experiment, 5.0)
+    assert np.random.default_rng(0).permutation(20)[index] == 9
+
+
+def test_overlay_starts_at_the_truth(experiment):
+    recording = experiment.select(inputs=["u_phi", "u_psi"])
+    model = tras.KoopmanModel(tras.Monomials(1)).fit(recording)
+    table = validation.overlay({"linear": model}, recording, 2.0, 3)
+    assert list(table.columns) == ["time", "psi_true", "psi_linear", "phi_true", "phi_linear"] and len(table) == 201
+    assert np.allclose(table.iloc[0][["psi_linear", "phi_linear"]], table.iloc[0][["psi_true", "phi_true"]])
+
+
+def a_table():
+    rows = []
+    for i, (name, model) in enumerate(tables.COLUMNS):
+        for horizon in (6.0, 500.0):
+            for seed in (1, 2, 3):
+                for angle in ("yaw", "pitch"):
+                    value = 1.0 + i + 0.1 * seed
+                    rows.append({"recording": f"multisine {seed}", "horizon": horizon, "angle": angle, "enr": value / 100, "bfr": 90.0, "nrmse": value,
+                                 "windows": 83, "diverged": 1 if i == 2 else 0, "input": name, "model": model})  # fmt: skip
+        rows.append({**rows[-1], "recording": "steps", "nrmse": 99.0})
+    identification = pd.DataFrame([{"input": name, "model": model, "condition": 123.4} for name, model in tables.COLUMNS])
+    return tables.comparison(pd.DataFrame(rows), identification, 6.0, 500.0)
+
+
+def test_comparison_takes_median_and_range_over_the_multisines_only():
+    table = a_table()
+    row = table[(table["horizon"] == 6) & (table["metric"] == "nrmse") & (table["angle"] == "yaw") & (table["input"] == "torque")].iloc[0]
+    assert (row["median"], row["lowest"], row["highest"]) == pytest.approx((3.2, 3.1, 3.3))
+    assert (row["windows"], row["diverged"]) == (249, 3)
+    paper = table[table["input"] == "paper"]
+    assert list(paper["median"]) == [4.0589, 5.5889]
+
+
+def test_rendering_shows_paper_range_condition_and_divergence(tmp_path, capsys):
+    a_table().to_csv(tmp_path / "table.csv", index=False)
+    text = tables.markdown(tables.read(tmp_path / "table.csv"))
+    assert "| NRMSE (%), yaw, 6 s windows | 4.0589 | 1.20 (1.10 to 1.30) |" in text
+    assert "| diverged, 6 s | not given | 0 of 249 | 0 of 249 | 3 of 249 | 0 of 249 |" in text
+    assert "| 1.2e+02 |" in text
+    readme = tmp_path / "README.md"
+    readme.write_text(f"before\n{tables.BEGIN}\nold\n{tables.END}\nafter\n")
+    assert tables.main([str(tmp_path / "table.csv"), "--check", str(readme)]) == 0
+    assert "holds another table" in capsys.readouterr().out
+    tables.main([str(tmp_path / "table.csv"), "--readme", str(readme)])
+    assert readme.read_text() == f"before\n{tables.BEGIN}\n{text}\n{tables.END}\nafter\n"
+    tables.main([str(tmp_path / "table.csv"), "--check", str(readme)])
+    assert "holds another table" not in capsys.readouterr().out
+
+
+def test_missing_files_and_markers_are_named(tmp_path, capsys):
+    assert tables.main([str(tmp_path / "none.csv")]) == 2
+    assert "none.csv does not exist" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="must hold"):
+        tables.into_readme("no markers", [])
+
+
+def test_the_readme_holds_the_committed_table():
+    """`make readme` wrote it from figures/table.csv, which `make all` makes: no number in it was typed."""
+    assert tables.markdown(tables.read(ROOT / "figures" / "table.csv")) in (ROOT / "README.md").read_text(encoding="utf-8")
