@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -13,6 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from tras import drawings, figures, rig
+
+FIGURES = Path(__file__).parent.parent / "figures"
 
 G = 9.81
 MASSES = {"main_mass": 0.32306, "tail_mass": 0.27850, "left_weight_mass": 0.01908, "right_weight_mass": 0.01908}  # kg
@@ -29,22 +32,36 @@ def method_case():
     return drawings.method_figure(table), table
 
 
-def curves_case():
-    """The helpers for the figures still to come: panels that share their time axis, in the recurring roles."""
-    time = np.linspace(0, 6, 61)
-    table = pd.DataFrame({"t": time, "truth": np.sin(time), "model": np.sin(1.01 * time)})
-    with figures.styled():
-        figure, axes = figures.new_figure(height=2.8, rows=2)
-        for panel, name in zip(axes, (r"pitch $\phi$ (rad)", r"yaw $\psi$ (rad)")):
-            panel.plot(table["t"], table["model"], label="model", **figures.MODEL)
-            panel.plot(table["t"], table["truth"], label="simulation", **figures.TRUTH)
-            panel.set_ylabel(name)
-        axes[0].legend(ncols=2)
-        axes[1].set_xlabel("time (s)")
-    return figure, table
+def redrawn(draw, name):
+    """A figure of the data, drawn again from the numbers that are stored beside it."""
+
+    def case():
+        table = pd.read_csv(FIGURES / f"{name}.csv")
+        return draw(table), table
+
+    case.__name__ = name
+    return case
 
 
-CASES = pytest.mark.parametrize("case", [rig_case, method_case, curves_case])
+DATA_FIGURES = {
+    "fig3_overlay": figures.overlay_figure,
+    "excitation": figures.excitation_figure,
+    "spectrum": figures.spectrum_figure,
+    "horizon": figures.horizon_figure,
+}
+CASES = pytest.mark.parametrize("case", [rig_case, method_case, *(redrawn(draw, name) for name, draw in DATA_FIGURES.items())])
+
+
+@pytest.mark.parametrize("name", DATA_FIGURES)
+def test_a_table_without_its_columns_is_refused(name):
+    with pytest.raises(ValueError, match="table lacks the columns"):
+        DATA_FIGURES[name](pd.read_csv(FIGURES / f"{name}.csv").iloc[:, :1])
+
+
+def test_truth_and_prediction_differ_in_dash_not_only_in_colour():
+    figure = figures.overlay_figure(pd.read_csv(FIGURES / "fig3_overlay.csv"))
+    for axes in figure.axes:
+        assert len({str(line.get_linestyle()) for line in axes.lines}) == len(axes.lines) == 3
 
 
 # ------------------------------------------------------------------------------------------------------------ the rig

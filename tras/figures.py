@@ -116,6 +116,11 @@ def save_figure(figure, table, stem):
 
 @styled()
 def _write(figure, table, pdf, svg, png, csv):
+    if figure.get_layout_engine() is not None:
+        # Every draw lays out anew, from where the last one left off: settled once, the same figure gives the same bytes again.
+        figure.draw_without_rendering()
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
     # None leaves an entry out: dates change from run to run and versions from machine to machine. The style must hold here
     # as well, because dpi, fonts and the hash salt of SVG are looked up when a figure is written.
     figure.savefig(pdf, format="pdf", metadata={"Creator": None, "Producer": None, "CreationDate": None})
@@ -148,8 +153,8 @@ def excitation_figure(table):
         axes.plot(table["time"], table[angle], color=colour, linestyle="-", label="response")
         axes.plot(table["time"], table[f"{angle}_ref"], **TRUTH, label="reference")
         axes.set_ylabel(label)
-    torque.plot(table["time"], table["u_phi"], color=PITCH_COLOUR, linestyle="-", label=r"$u_\phi$ (pitch)")
-    torque.plot(table["time"], table["u_psi"], color=YAW_COLOUR, linestyle="--", label=r"$u_\psi$ (yaw)")
+    torque.plot(table["time"], table["u_phi"], color=PITCH_COLOUR, linestyle="-", label="pitch")
+    torque.plot(table["time"], table["u_psi"], color=YAW_COLOUR, linestyle="--", label="yaw")
     torque.set(xlabel="time (s)", ylabel="torque (N m)", xlim=(table["time"].min(), table["time"].max()))
     for axes in (pitch, yaw, torque):
         _legend_above(axes)
@@ -211,12 +216,12 @@ def spectrum_figure(table):
         discrete.plot(group["real"], group["imag"], linestyle="none", label=label, **style)
         continuous.plot(group["rate_real"], group["rate_imag"], linestyle="none", **style)
     low = min(table["real"].min(), 1) - reach / 4
-    discrete.set(xlabel=r"real part", ylabel="imaginary part", ylim=(-reach, reach), xlim=(low, table["real"].max() + reach / 4))
-    discrete.set_title("$K$, and the unit circle")
-    continuous.set(xlabel=r"real part (s$^{-1}$)", ylabel=r"imaginary part (s$^{-1}$)")
+    discrete.set(xlabel="real part", ylabel="imaginary part", ylim=(-reach, reach), xlim=(low, table["real"].max() + reach / 4))
+    discrete.set_title("$K$, and the unit circle", fontsize=8.6)
+    continuous.set(xlabel="real part (1/s)", ylabel="imaginary part (1/s)")
     continuous.margins(0.1)
     figure.get_layout_engine().set(wspace=0.08)
-    continuous.set_title(r"$A = \log(K)/T_s$")
+    continuous.set_title(r"$A = \log(K)/T_s$", fontsize=8.6)  # so that the index, 0.7 of it, still reaches 6 points
     figure.legend(loc="outside lower center", ncols=2, columnspacing=1.0, handletextpad=0.1)
     return figure
 
@@ -245,6 +250,7 @@ def horizon_figure(table):
             panel.set_title(f"{angle}, input: {name}")
     for panel in axes[-1]:
         panel.set_xlabel("time ahead (s)")
+    axes[0, 0].yaxis.set_major_formatter("{x:g}")  # 0.1, not a power with an index too small to read
     figure.supylabel("root mean square error (% of range)", fontsize=8)
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, columnspacing=1.2)
     return figure
