@@ -45,7 +45,9 @@ def test_divergence_is_noticed_and_not_averaged():
     assert list(metrics.diverged(TRUE, wrong)) == [False, False]
     wrong[1, 1, 0] = np.nan
     assert list(metrics.diverged(TRUE, wrong)) == [False, True]
-    wrong[1, 1, 0] = 0.0 + 10 * 4.0 + 0.1
+    wrong[1, 1, 0] = 10 * 4.0 - 0.1  # ten times the range, 4, is the limit
+    assert list(metrics.diverged(TRUE, wrong)) == [False, False]
+    wrong[1, 1, 0] = 10 * 4.0 + 0.1
     assert list(metrics.diverged(TRUE, wrong)) == [False, True]
     wrong[0, 0, 1] = -np.inf
     assert list(metrics.diverged(TRUE, wrong)) == [True, True]

@@ -160,8 +160,10 @@ class KoopmanModel(BaseEstimator):
         n, m = len(self.state_names_), len(self.input_names_)
         if x0.ndim == 0 or x0.shape[-1] != n:
             raise ValueError(f"x0 has shape {x0.shape}; its last axis must hold the {n} states {', '.join(self.state_names_)}.")
-        if inputs.ndim < 2 or inputs.shape[-1] != m:
-            raise ValueError(f"inputs has shape {inputs.shape}; give (..., samples, {m}): {', '.join(self.input_names_) or 'no inputs'}.")
+        if inputs.ndim < 2 or inputs.shape[-1] != m or inputs.shape[-2] == 0:
+            raise ValueError(
+                f"inputs has shape {inputs.shape}; give (..., samples, {m}), at least one sample: {', '.join(self.input_names_) or 'no inputs'}."
+            )
         if not (np.isfinite(x0).all() and np.isfinite(inputs).all()):
             raise ValueError("x0 or inputs holds NaN or infinity; repair them first.")
         batch = np.broadcast_shapes(x0.shape[:-1], inputs.shape[:-2])

@@ -105,6 +105,11 @@ def _execute(notebook, running, parameters):
         transport_encryption = "auto"  # else ipykernel 7.3 and later warn at every start
         shutdown_wait_time = 1.0  # s; one kernel in fifteen never answers the farewell, and the default would wait 3.4 s for it
 
+        async def _async_interrupt_kernel(self):
+            """No interrupt as part of the farewell: the kernel is idle or about to be killed, and would only log an error."""
+            if not self.shutting_down:
+                await super()._async_interrupt_kernel()
+
         async def shutdown_kernel(self, now=False, restart=False):
             """A kernel that is asked politely in the middle of a cell prints tracebacks; after an interrupt it is killed."""
             await super().shutdown_kernel(now=now or Interrupted.received, restart=restart)
