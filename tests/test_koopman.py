@@ -82,18 +82,17 @@ def test_linear_system_gives_its_exponential_and_log_gives_it_back():
 class SlowManifold(Dictionary):
     """(1, x1, x2, x1^2): closed under the flow of x1' = mu x1, x2' = lambda (x2 - x1^2) (S. L. Brunton et al., PLoS ONE 11, 2016)."""
 
-    def _prepare(self, z):
-        pass
+    def _build(self):
+        return 1
 
-    def _lift(self, z):
-        return np.vstack([np.ones(z.shape[1]), z, z[0] ** 2])
+    def _fill(self, psi, z):
+        psi[3] = z[0] ** 2
 
-    def _lift_jacobian(self, z):
-        one, zero = np.ones(z.shape[1]), np.zeros(z.shape[1])
-        return np.array([[zero, zero], [one, zero], [zero, one], [2 * z[0], zero]])
+    def _fill_slopes(self, slopes, psi, z):
+        slopes[3, 0] = 2 * z[0]
 
-    def feature_names(self, channels):
-        return ["1", *channels, f"{channels[0]}^2"]
+    def _tail_names(self, channels):
+        return [f"{channels[0]}^2"]
 
 
 def test_slow_manifold_has_its_exact_spectrum():

@@ -1,20 +1,33 @@
-"""Dictionaries: the functions psi(x, u) that lift a state and an input (paper, (6)-(8)).
+"""Dictionaries: the functions psi(x, u) that lift a state and an input (paper, (6)-(8)), and how to combine them.
 
-Every dictionary holds the constant, the states and the inputs themselves, so a state can be read back from its lifting.
-They expect channels of order one: `tras.KoopmanModel` scales each channel to [-1, 1] before it lifts.
+Every dictionary begins with the constant, the states and the inputs, so a state can be read back from its lifting; what
+follows is its own. They expect channels of order one: `tras.KoopmanModel` scales each channel to [-1, 1] before it lifts.
+
+Here: monomials, exponentials, Fourier functions, unions and products. `tras.radial` holds the radial functions, `tras.mechanical` the one
+for mechanical systems.
 """
 
 import itertools
 
 import numpy as np
-from sklearn.base import BaseEstimator
+from sklearn.base import BaseEstimator, clone
 
 
 class Dictionary(BaseEstimator):
     """N functions of n states and m inputs, with names and exact Jacobians; scikit-learn conventions.
 
-    A subclass supplies ``_prepare(z)``, ``_lift(z)``, ``_lift_jacobian(z)`` and ``feature_names``, on points in columns:
-    ``z`` is (n + m, points), liftings are (N, points), Jacobians (N, n, points).
+    A subclass supplies, for points in columns (``z`` is (n + m, points)):
+
+    ``_learn(z)``
+        Sets what depends on the data, in attributes that end in an underscore; these are what a file keeps.
+    ``_build()``
+        Derives the rest from them and from ``n_states_``, ``n_inputs_``; returns how many functions follow the head.
+    ``_fill(psi, z)``
+        Writes them into ``psi[head:]``; ``psi`` is (N, points), its head (constant, states, inputs) is there already.
+    ``_fill_slopes(slopes, psi, z)``
+        Writes their derivatives by the states into ``slopes[head:]``, (N, n, points), zero so far.
+    ``_tail_names(channels)``
+        Names them.
     """
 
     def fit(self, x, u=None):
@@ -23,19 +36,61 @@ class Dictionary(BaseEstimator):
         for name in [name for name in vars(self) if name.endswith("_")]:
             delattr(self, name)  # what an earlier fit learnt
         self.n_states_, self.n_inputs_ = x.shape[-1], u.shape[-1]
-        self._prepare(_columns(x, u))
-        return self
+        self._learn(_columns(x, u))
+        return self._restore()
 
     def __call__(self, x, u=None):
         """Lift: states (..., n) and inputs (..., m) -> (..., N), equation (7). An unfitted dictionary is fitted first."""
         z, leading = self._points(x, u)
-        return self._lift(z).T.reshape(*leading, -1)
+        return self.lift(z).T.reshape(*leading, -1)
 
     def jacobian(self, x, u=None):
         """``d psi / d x``, used in (17) and (18): (..., n), (..., m) -> (..., N, n)."""
         z, leading = self._points(x, u)
-        jacobian = self._lift_jacobian(z)
-        return np.moveaxis(jacobian, -1, 0).reshape(*leading, *jacobian.shape[:2])
+        slopes = self.lift_slopes(z)
+        return np.moveaxis(slopes, -1, 0).reshape(*leading, *slopes.shape[:2])
+
+    def lift(self, z):
+        """The same as calling, for points in columns: (n + m, points) -> (N, points), every function a contiguous row."""
+        head = 1 + len(z)
+        psi = np.empty((self._size, z.shape[1]))
+        psi[0] = 1
+        psi[1:head] = z
+        self._fill(psi, z)
+        return psi
+
+    def lift_slopes(self, z):
+        """The same as `jacobian`, for points in columns: (n + m, points) -> (N, n, points)."""
+        slopes = np.zeros((self._size, self.n_states_, z.shape[1]))
+        slopes[self.coordinates, np.arange(self.n_states_)] = 1
+        self._fill_slopes(slopes, self.lift(z), z)
+        return slopes
+
+    @property
+    def names(self):
+        """Names of the N functions, channels called x1, x2, ... and u1, u2, ..."""
+        return self.feature_names([f"x{i + 1}" for i in range(self.n_states_)] + [f"u{i + 1}" for i in range(self.n_inputs_)])
+
+    def feature_names(self, channels):
+        """Names of the N functions for the given channel names, states first."""
+        return ["1", *channels, *self._tail_names(list(channels))]
+
+    def get_feature_names_out(self, input_features=None):
+        """scikit-learn's name for `feature_names`."""
+        return np.array(self.names if input_features is None else self.feature_names(list(input_features)), dtype=object)
+
+    @property
+    def coordinates(self):
+        """Indices of the functions that are the states themselves: the constant comes first, then they."""
+        return np.arange(1, 1 + self.n_states_)
+
+    def _learn(self, z):
+        """Nothing depends on the data unless a subclass says so."""
+
+    def _restore(self):
+        """Ready for use, from what was learnt: also after reading a file."""
+        self._size = 1 + self.n_states_ + self.n_inputs_ + self._build()
+        return self
 
     def _points(self, x, u):
         x, u = _samples(x, u)
@@ -47,20 +102,6 @@ class Dictionary(BaseEstimator):
                 f"{self.n_inputs_}; hand in the same channels."
             )
         return _columns(x, u), x.shape[:-1]
-
-    @property
-    def names(self):
-        """Names of the N functions, channels called x1, x2, ... and u1, u2, ..."""
-        return self.feature_names([f"x{i + 1}" for i in range(self.n_states_)] + [f"u{i + 1}" for i in range(self.n_inputs_)])
-
-    def get_feature_names_out(self, input_features=None):
-        """scikit-learn's name for `feature_names`."""
-        return np.array(self.names if input_features is None else self.feature_names(list(input_features)), dtype=object)
-
-    @property
-    def coordinates(self):
-        """Indices of the functions that are the states themselves: the constant comes first, then they."""
-        return np.arange(1, 1 + self.n_states_)
 
 
 class Monomials(Dictionary):
@@ -84,101 +125,212 @@ class Monomials(Dictionary):
     def __init__(self, degree=2):
         self.degree = degree
 
-    def _prepare(self, z):
-        if isinstance(self.degree, bool) or not isinstance(self.degree, (int, np.integer)) or self.degree < 1:
-            raise ValueError(f"degree is {self.degree!r}; give a whole number, 1 or more.")
-        channels = len(z)
+    def _build(self):
+        check_count("degree", self.degree)
+        channels = self.n_states_ + self.n_inputs_
         words = [w for k in range(self.degree + 1) for w in itertools.combinations_with_replacement(range(channels), k)]
         place = {word: j for j, word in enumerate(words)}
-        self.exponents_ = np.array([[word.count(i) for i in range(channels)] for word in words])
+        self._exponents = np.array([[word.count(i) for i in range(channels)] for word in words])
         # Each monomial is a shorter one times one channel; one level of degree after the other is filled at once.
         first = [place.get(word[1:], 0) for word in words]
         letter = [word[0] if word else 0 for word in words]
         ends = np.cumsum(np.bincount([len(word) for word in words]))
         self._levels = [(slice(a, b), np.array(first[a:b]), np.array(letter[a:b])) for a, b in zip(ends[1:-1], ends[2:])]
         # d/dx_i of a monomial is its exponent times the monomial with one x_i less.
-        self._slopes = self.exponents_[:, : self.n_states_, None].astype(float)
+        self._slopes = self._exponents[:, : self.n_states_, None].astype(float)
         self._lowered = np.array([[_without(word, i, place) for i in range(self.n_states_)] for word in words])
+        return len(words) - 1 - channels
 
-    def _lift(self, z):
-        psi = np.empty((len(self.exponents_), z.shape[1]))
-        psi[0] = 1
-        psi[1 : 1 + len(z)] = z
+    def _fill(self, psi, z):
         for level, shorter, letter in self._levels:
             np.multiply(psi[shorter], z[letter], out=psi[level])
-        return psi
 
-    def _lift_jacobian(self, z):
-        return self._slopes * self._lift(z)[self._lowered]
+    def _fill_slopes(self, slopes, psi, z):
+        np.multiply(self._slopes, psi[self._lowered], out=slopes)
 
-    def feature_names(self, channels):
-        """Names of the functions for the given channel names, states first."""
-        powers = [[c if e == 1 else f"{c}^{e}" for c, e in zip(channels, row) if e] for row in self.exponents_]
-        return [" ".join(factors) or "1" for factors in powers]
+    def _tail_names(self, channels):
+        powers = [[c if e == 1 else f"{c}^{e}" for c, e in zip(channels, row) if e] for row in self._exponents]
+        return [" ".join(factors) for factors in powers[1 + len(channels) :]]
 
 
-class GaussianRBF(Dictionary):
-    """The constant, the states, the inputs, and Gaussians ``exp(-|z - c|^2 / width^2)`` of ``z = (x, u)``: N = 1 + n + m + centres.
-
-    This is what "Gauss RBF of maximum degree w = 2" means in the public MATLAB code that the paper's method comes from: w
-    Gaussians of width 1 at random centres in [-1, 1]^(n+m), on channels scaled to [-1, 1], beside states, inputs and a constant.
+class Exponentials(Dictionary):
+    """``exp(rate k.z)`` for every whole vector k with ``0 < |k|_1 <= order``: named by the paper ("exponentials") beside monomials.
 
     Parameters
     ----------
-    n_centres : int
-        Number of Gaussians. A few bend a linear model a little; N grows by one each.
-    width : float
-        Distance at which a Gaussian has fallen to 1/e, in scaled units. Wider functions are smoother and closer to linearly
-        dependent: watch the condition number.
-    seed : int or numpy.random.Generator
-        Draws the centres.
+    order : int
+    rate : float
+        Exponent at the edge of the scaled range. Small rates are nearly polynomials and nearly dependent, large ones steep.
+    """
+
+    def __init__(self, order=1, rate=1.0):
+        self.order = order
+        self.rate = rate
+
+    def _build(self):
+        check_count("order", self.order)
+        check_positive("rate", self.rate)
+        self._k = np.array([k for k in _lattice(self.n_states_ + self.n_inputs_, self.order) if any(k)])
+        self._wave = self.rate * self._k
+        return len(self._wave)
+
+    def _fill(self, psi, z):
+        np.exp(self._wave @ z, out=psi[1 + len(z) :])
+
+    def _fill_slopes(self, slopes, psi, z):
+        head = 1 + len(z)
+        slopes[head:] = self._wave[:, : self.n_states_, None] * psi[head:, None]
+
+    def _tail_names(self, channels):
+        return [f"exp({_combination(self.rate * k, channels)})" for k in self._k]
+
+
+class Fourier(Dictionary):
+    """``cos(2 pi k.z / period)`` and ``sin(...)`` for every whole vector k with ``0 < |k|_1 <= order``, k and -k once.
+
+    Parameters
+    ----------
+    order : int
+    period : float
+        In scaled units, in which the data span 2. The default 4 lets functions that are not periodic over the data be followed.
+    """
+
+    def __init__(self, order=1, period=4.0):
+        self.order = order
+        self.period = period
+
+    def _build(self):
+        check_count("order", self.order)
+        check_positive("period", self.period)
+        lattice = _lattice(self.n_states_ + self.n_inputs_, self.order)
+        self._k = np.array([k for k in lattice if any(k) and next(c for c in k if c) > 0])
+        self._wave = 2 * np.pi / self.period * self._k
+        return 2 * len(self._wave)
+
+    def _fill(self, psi, z):
+        angle, head = self._wave @ z, 1 + len(z)
+        half = head + len(angle)
+        np.cos(angle, out=psi[head:half])
+        np.sin(angle, out=psi[half:])
+
+    def _fill_slopes(self, slopes, psi, z):
+        head = 1 + len(z)
+        half = head + len(self._wave)
+        wave = self._wave[:, : self.n_states_, None]
+        slopes[head:half] = -wave * psi[half:, None]
+        slopes[half:] = wave * psi[head:half, None]
+
+    def _tail_names(self, channels):
+        sums = [_combination(k, channels) for k in self._k]
+        return [f"{f}(w ({s}))" if " " in s else f"{f}(w {s})" for f in ("cos", "sin") for s in sums]
+
+
+class _Combination(Dictionary):
+    """Several dictionaries of the same channels, made one."""
+
+    def __init__(self, *dictionaries, parts=()):
+        if len(dictionaries) == 1 and isinstance(dictionaries[0], (list, tuple)):
+            (dictionaries,) = dictionaries
+        self.parts = list(dictionaries) if dictionaries else parts
+
+    @classmethod
+    def _get_param_names(cls):
+        return ["parts"]  # scikit-learn wants every parameter named
+
+    def _learn(self, z):
+        if not self.parts or not all(isinstance(part, Dictionary) for part in self.parts):
+            raise ValueError(f"parts is {self.parts!r}; give dictionaries, for example Union(Monomials(2), GaussianRBF(10)).")
+        x, u = z[: self.n_states_].T, z[self.n_states_ :].T
+        self.parts_ = [clone(part).fit(x, u) for part in self.parts]
+        # Functions that two parts share must not come twice: they are recognised by their values at random points.
+        points = np.random.default_rng(0).uniform(-1, 1, (len(z), 7))
+        seen, kept = set(), []
+        for j, values in enumerate(self._all(points)):
+            fingerprint = tuple(np.round(values, 10) + 0.0)
+            if fingerprint not in seen:
+                seen.add(fingerprint)
+                kept.append(j)
+        self.kept_ = np.array(kept)
+
+    def _build(self):
+        for part in self.parts_:
+            part._restore()
+        return len(self.kept_) - 1 - self.n_states_ - self.n_inputs_
+
+    def _fill(self, psi, z):
+        head = 1 + len(z)
+        psi[head:] = self._all(z)[self.kept_[head:]]
+
+    def _fill_slopes(self, slopes, psi, z):
+        head = 1 + len(z)
+        slopes[head:] = self._all_slopes(z)[self.kept_[head:]]
+
+    def _tail_names(self, channels):
+        names = self._all_names(channels)
+        return [names[j] for j in self.kept_[1 + len(channels) :]]
+
+
+class Union(_Combination):
+    """The functions of several dictionaries, each once: ``Union(Monomials(2), GaussianRBF(10))``.
 
     Examples
     --------
     >>> import numpy as np
-    >>> GaussianRBF(2, seed=1)(np.zeros((501, 4)), np.zeros((501, 2))).shape
-    (501, 9)
+    >>> Union(Monomials(2), Monomials(3))(np.zeros(2)).shape == Monomials(3)(np.zeros(2)).shape
+    True
     """
 
-    def __init__(self, n_centres=2, width=1.0, seed=0):
-        self.n_centres = n_centres
-        self.width = width
-        self.seed = seed
+    def _all(self, z):
+        return np.concatenate([part.lift(z) for part in self.parts_])
 
-    def _prepare(self, z):
-        if isinstance(self.n_centres, bool) or not isinstance(self.n_centres, (int, np.integer)) or self.n_centres < 1:
-            raise ValueError(f"n_centres is {self.n_centres!r}; give a whole number, 1 or more.")
-        if not (np.isfinite(self.width) and self.width > 0):
-            raise ValueError(f"width is {self.width!r}; give a positive number, in units of the scaled channels.")
-        if not hasattr(self, "centres_"):
-            self.centres_ = np.random.default_rng(self.seed).uniform(-1, 1, size=(self.n_centres, len(z)))
-        self._slope = self.centres_ * (2 / self.width**2)
-        self._level = np.sum(self.centres_**2, axis=1, keepdims=True) / self.width**2
+    def _all_slopes(self, z):
+        return np.concatenate([part.lift_slopes(z) for part in self.parts_])
 
-    def _lift(self, z):
-        head = 1 + len(z)
-        psi = np.empty((head + len(self.centres_), z.shape[1]))
-        psi[0] = 1
-        psi[1:head] = z
-        # -|z - c|^2 = 2 c.z - |c|^2 - |z|^2 by one matrix product: no array of (centres, channels, points).
-        exponent = psi[head:]
-        np.matmul(self._slope, z, out=exponent)
-        exponent -= self._level
-        exponent -= np.add.reduce(z * z) / self.width**2
-        np.exp(exponent, out=exponent)
-        return psi
+    def _all_names(self, channels):
+        return [name for part in self.parts_ for name in part.feature_names(channels)]
 
-    def _lift_jacobian(self, z):
-        n, head = self.n_states_, 1 + len(z)
-        gaussians = self._lift(z)[head:, None, :]
-        jacobian = np.zeros((head + len(self.centres_), n, z.shape[1]))
-        jacobian[self.coordinates, np.arange(n)] = 1
-        jacobian[head:] = (self.centres_[:, :n, None] - z[None, :n]) * gaussians * (2 / self.width**2)
-        return jacobian
 
-    def feature_names(self, channels):
-        """Names of the functions for the given channel names, states first."""
-        return ["1", *channels, *(f"gauss{i + 1}" for i in range(len(self.centres_)))]
+class Product(_Combination):
+    """Every function of one dictionary times every function of another, each product once.
+
+    All dictionaries hold the constant, so their own functions are among the products.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> Product(Monomials(1), Monomials(1))(np.zeros(2)).shape == Monomials(2)(np.zeros(2)).shape
+    True
+    """
+
+    def _learn(self, z):
+        if len(self.parts) != 2:
+            raise ValueError(f"parts holds {len(self.parts)} dictionaries; a Product is of two, nest it for more.")
+        super()._learn(z)
+
+    def _all(self, z):
+        a, b = (part.lift(z) for part in self.parts_)
+        return (b[:, None] * a[None]).reshape(-1, z.shape[1])  # the constant of b first: the head of a leads
+
+    def _all_slopes(self, z):
+        (a, b), (da, db) = [part.lift(z) for part in self.parts_], [part.lift_slopes(z) for part in self.parts_]
+        slopes = db[:, None] * a[None, :, None] + b[:, None, None] * da[None]
+        return slopes.reshape(-1, *slopes.shape[2:])
+
+    def _all_names(self, channels):
+        a, b = (part.feature_names(channels) for part in self.parts_)
+        return [f if g == "1" else g if f == "1" else f"{f} {g}" for g in b for f in a]
+
+
+def check_count(name, value):
+    """Refuse what is not a whole number of at least one."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        raise ValueError(f"{name} is {value!r}; give a whole number, 1 or more.")
+
+
+def check_positive(name, value):
+    """Refuse what is not a positive finite number."""
+    if not (isinstance(value, (int, float, np.number)) and np.isfinite(value) and value > 0):
+        raise ValueError(f"{name} is {value!r}; give a positive number, in units of the scaled channels.")
 
 
 def _samples(x, u):
@@ -205,3 +357,14 @@ def _without(word, i, place):
     shorter = list(word)
     shorter.remove(i)
     return place[tuple(shorter)]
+
+
+def _lattice(channels, order):
+    """Whole vectors k with ``|k|_1 <= order``."""
+    return [k for k in itertools.product(range(-order, order + 1), repeat=channels) if sum(map(abs, k)) <= order]
+
+
+def _combination(k, channels):
+    """``x1 - 2 u1`` for coefficients and names."""
+    terms = [f"{'-' if c < 0 else '+'} {'' if abs(c) == 1 else f'{abs(c):g} '}{name}" for c, name in zip(k, channels) if c]
+    return " ".join(terms).removeprefix("+ ").replace("- ", "-", 1) if terms[0].startswith("-") else " ".join(terms).removeprefix("+ ")

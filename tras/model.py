@@ -9,6 +9,7 @@ import numpy as np
 from scipy import linalg
 from sklearn.base import BaseEstimator, clone
 
+import tras
 from tras import dictionary as dictionaries
 from tras import generator, koopman, metrics
 from tras.files import replacing
@@ -101,7 +102,7 @@ class KoopmanModel(BaseEstimator):
         solve = koopman.koopman_matrix if lifts_inputs else koopman.lifted_linear
         fit = solve(self.dictionary_, scaled, names if lifts_inputs else names + list(self.input_names_))
         N = len(names)
-        self.koopman_matrix, self.B_ = fit.coefficients[:N], fit.coefficients[N:].T
+        self.koopman_matrix, self.B_ = np.ascontiguousarray(fit.coefficients[:N]), np.ascontiguousarray(fit.coefficients[N:].T)
         self.condition_number, self.residual_, self.pairs_, self.names_ = fit.condition_number, fit.residual, fit.rows, names
         if self.predictor == "vector_field":
             self._identify_field(scaled, fit.R)
@@ -220,11 +221,10 @@ class KoopmanModel(BaseEstimator):
             "versions": versions(),
             "predictor": self.predictor,
             "field": self.field,
-            "dictionary": {"name": type(self.dictionary_).__name__, "parameters": _plain(self.dictionary_.get_params(deep=False))},
             **{key: getattr(self, key + "_") for key in _HEADER},
         }
         arrays = {key: getattr(self, key) for key in _ARRAYS if hasattr(self, key)}
-        arrays |= {f"dictionary.{key}": value for key, value in vars(self.dictionary_).items() if key.endswith("_")}
+        header["dictionary"] = _pack(self.dictionary_, "dictionary", arrays)
         with replacing(_npz_path(path)) as temporary:
             np.savez(temporary, header=np.array(json.dumps(header)), **arrays)
 
@@ -264,11 +264,8 @@ class KoopmanModel(BaseEstimator):
         for key in _HEADER:
             value = header[key]
             setattr(self, key + "_", tuple(value) if isinstance(value, list) else value)
-        self.dictionary_ = clone(self.dictionary)
         for key, value in arrays.items():
-            owner, name = (self.dictionary_, key.removeprefix("dictionary.")) if key.startswith("dictionary.") else (self, key)
-            setattr(owner, name, value.item() if value.ndim == 0 else value)
-        self.dictionary_._prepare(np.zeros((self.dictionary_.n_states_ + self.dictionary_.n_inputs_, 1)))
+            setattr(self, key, value.item() if value.ndim == 0 else value)
 
     def _fitted(self):
         if not hasattr(self, "koopman_matrix"):
@@ -303,7 +300,7 @@ class KoopmanModel(BaseEstimator):
     def _advance(self, z, u):
         """One sample: (n, batch), (m, batch) -> (n, batch), scaled."""
         if self.predictor == "one_step":
-            return self.koopman_matrix[:, self.dictionary_.coordinates].T @ self.dictionary_._lift(np.concatenate([z, u]))
+            return self.koopman_matrix[:, self.dictionary_.coordinates].T @ self.dictionary_.lift(np.concatenate([z, u]))
         return self._integrate(z, u, self.substeps_)
 
     def _integrate(self, z, u, substeps):
@@ -311,7 +308,7 @@ class KoopmanModel(BaseEstimator):
         h = self.dt_ / substeps
         n = len(z)
         point = np.concatenate([z, u])
-        W, lift = self.W_, self.dictionary_._lift
+        W, lift = self.W_, self.dictionary_.lift
         for _ in range(substeps):
             k1 = W @ lift(point)
             point[:n] = z + h / 2 * k1
@@ -361,10 +358,9 @@ def load_model(path):
         header = json.loads(str(arrays.pop("header")))
         if header["format"] != _FORMAT:
             raise ValueError(f"its format is {header['format']!r}, this release reads {_FORMAT!r}")
-        kind = getattr(dictionaries, header["dictionary"]["name"], None)
-        if not (isinstance(kind, type) and issubclass(kind, dictionaries.Dictionary)):
-            raise ValueError(f"its dictionary {header['dictionary']['name']!r} is not one of this release")
-        model = KoopmanModel(kind(**header["dictionary"]["parameters"]), header["predictor"], field=header["field"])
+        dictionary = _unpack(header["dictionary"], "dictionary", arrays)
+        model = KoopmanModel(clone(dictionary), header["predictor"], field=header["field"])
+        model.dictionary_ = dictionary
         model._restore(header, arrays)
     except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path} cannot be read as a model ({error}); save it again with KoopmanModel.save.") from error
@@ -395,9 +391,34 @@ def join(recordings):
     return first._with([x for r in recordings for x, _ in r], [u for r in recordings for _, u in r])
 
 
-def _plain(parameters):
-    """Constructor parameters as JSON holds them. A Generator cannot be kept, and the centres that it drew are kept anyway."""
-    return {key: None if isinstance(value, np.random.Generator) else value for key, value in parameters.items()}
+def _pack(dictionary, place, arrays):
+    """A fitted dictionary as JSON holds it, its learnt arrays put into ``arrays`` under names that begin with ``place``."""
+    header = {"name": type(dictionary).__name__, "parameters": {}, "learnt": {}}
+    for key, value in dictionary.get_params(deep=False).items():
+        # What the parts, a Generator or an array of centres led to is among the learnt.
+        keep = value is None or isinstance(value, (bool, int, float, str)) or key in ("positions", "velocities", "shape")
+        header["parameters"][key] = value if keep else None
+    for key, value in vars(dictionary).items():
+        if key == "parts_":
+            header["parts"] = [_pack(part, f"{place}.{i}", arrays) for i, part in enumerate(value)]
+        elif key.endswith("_"):
+            arrays[f"{place}.{key}"] = value
+    return header
+
+
+def _unpack(header, place, arrays):
+    """The dictionary that `_pack` has packed; its arrays are taken out of ``arrays``."""
+    kind = getattr(tras, header["name"], None) if header["name"] in tras.__all__ else None
+    if not (isinstance(kind, type) and issubclass(kind, dictionaries.Dictionary)):
+        raise ValueError(f"its dictionary {header['name']!r} is not one of this release")
+    parts = [_unpack(part, f"{place}.{i}", arrays) for i, part in enumerate(header.get("parts", []))]
+    dictionary = kind(**(header["parameters"] | ({"parts": [clone(part) for part in parts]} if parts else {})))
+    if parts:
+        dictionary.parts_ = parts
+    for key in [key for key in arrays if key.rpartition(".")[0] == place]:
+        value = arrays.pop(key)
+        setattr(dictionary, key.rpartition(".")[2], value.item() if value.ndim == 0 else value)
+    return dictionary._restore()
 
 
 def _npz_path(path):
