@@ -40,12 +40,13 @@ endif
 
 # --- stages and what they write; every file is named, so that a deleted one is made again ----------------------------------------
 
-MODELS := $(foreach input,reference torque,$(foreach model,linear gaussian gaussian28 monomials2,$(input)_$(model)))
+MODELS := $(foreach input,reference torque,$(addprefix $(input)_,linear gaussian gaussian28 monomials2)) \
+  $(addprefix torque_,$(addprefix gaussian_seed,1 2 3) mechanical)
 DRAWN := fig1_rig fig2_method fig3_overlay excitation spectrum horizon
 
 STAGES := 01_data_generation 02_identification 03_validation 04_figures
 OUT_01 := $(addprefix $(DATA)/,train.nc validation_multisine.nc validation_steps.nc validation_chirp.nc)
-OUT_02 := $(addprefix $(DATA)/,identification.csv spectrum.csv $(MODELS:%=models/%.npz))
+OUT_02 := $(addprefix $(DATA)/,held_out.nc identification.csv spectrum.csv $(MODELS:%=models/%.npz))
 OUT_03 := $(addprefix $(DATA)/,metrics.csv horizon.csv overlay.csv)
 OUT_04 := $(addprefix $(FIGURES)/,$(foreach kind,pdf svg png csv,$(DRAWN:%=%.$(kind))) table.csv)
 

@@ -1,5 +1,7 @@
 """The simulated experiment: sample and hold, limits, anti-windup, bumpless start, what is recorded."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -67,6 +69,35 @@ def test_everything_needed_to_repeat_it_is_inside(parameters):
     assert recording.attributes["seed"] == 7
     assert recording.attributes["plant_K_psi"] == 0.003
     assert recording.attributes["pid_psi_P"] == tras.PID.defaults(parameters)[1].P
+    assert recording.attributes["pid_phi_limits"] == [-0.144, 0.207] and recording.attributes["pid_psi_limits"] == [-0.241, 0.14]
+
+
+def test_saturation_is_counted_at_the_controllers_own_limits(parameters):
+    from tras.closed_loop import saturated
+
+    narrow = tuple(dataclasses.replace(pid, limits=(-0.02, 0.02)) for pid in tras.PID.defaults(parameters))
+    reference = np.zeros((200, 2))
+    reference[100:] = 1.0
+    recording = tras.simulate_closed_loop(reference, 0.01, parameters, controllers=narrow)
+    torques = recording.inputs[0][:, 2:]
+    assert np.array_equal(saturated(recording, parameters), (np.abs(torques) == 0.02).mean(axis=0))
+    assert saturated(recording, parameters).min() > 0.1
+    bare = tras.Recording(recording.states, recording.inputs, 0.01, input_names=recording.input_names)
+    assert np.array_equal(saturated(bare, parameters), [0, 0])
+
+
+@pytest.mark.parametrize(
+    "make, words",
+    [
+        (lambda: tras.PID(1, 1, 1, (1, -1)), "limits is .1, -1.; give .lowest, highest."),
+        (lambda: tras.PID(1, 1, 1, 0.2), "limits is 0.2"),
+        (lambda: tras.PID(1, np.nan, 1, (-1, 1)), "I is nan; give a finite gain"),
+        (lambda: tras.PID("1", 1, 1, (-1, 1)), "P is '1'"),
+    ],
+)
+def test_controllers_that_cannot_be_are_named(make, words):
+    with pytest.raises(ValueError, match=words):
+        make()
 
 
 @pytest.mark.parametrize(

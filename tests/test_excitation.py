@@ -65,6 +65,11 @@ def test_chirp_sweeps_to_its_top_frequency():
     assert np.allclose(r, np.column_stack([0.6 * np.sin(0.003 * t**2), 2.0 * np.cos(0.008 * t**2)]))
 
 
+def test_a_seed_does_as_well_as_a_generator():
+    for make in (lambda rng: tras.multisine(50, 0.05, [1.0], [1.0], rng), lambda rng: tras.steps(50, 0.05, [1.0], rng)):
+        assert np.array_equal(make(7), make(np.random.default_rng(7)))
+
+
 RNG = np.random.default_rng(0)
 
 
@@ -77,6 +82,8 @@ RNG = np.random.default_rng(0)
         (lambda: tras.multisine(500, 0, [0.8], [1], RNG), "dt is 0"),
         (lambda: tras.multisine(500, 0.01, [0.8], [1, 2], RNG), "1 channels but peak has 2"),
         (lambda: tras.multisine(50, 0.01, [0.2, 0.2], [1, 1], RNG, max_correlation=1e-9, draws=3), "none of 3 draws of channel 1"),
+        (lambda: tras.multisine(500, 0.01, [0.8], [1], "one"), "rng is 'one'; give a numpy.random.Generator or a seed"),
+        (lambda: tras.steps(100, 0.01, [1], -1), "rng is -1"),
         (lambda: tras.steps(100, 0.01, [1], RNG, shortest=5, longest=4), "shortest = 5"),
     ],
 )

@@ -11,6 +11,7 @@ from scipy.linalg import expm
 import tras
 from tras import koopman
 from tras.dictionary import Dictionary
+from tras.leastsquares import least_squares
 from tras.generator import LogarithmError, branch_distance, generator, principal_logarithm
 
 A4 = np.array([[0, 1, 0, 0], [-3, -0.4, 0.2, 0], [0, 0, 0, 1], [0.1, 0, -1, -0.3]])
@@ -44,7 +45,7 @@ def test_least_squares_in_blocks_equals_extended_precision():
     rng = np.random.default_rng(0)
     X = rng.normal(size=(300, 6)) @ np.diag([1, 1e3, 1e-3, 1, 1, 1]) + 1e-3 * rng.normal(size=(300, 1))
     Y = rng.normal(size=(300, 2))
-    fit = koopman.least_squares((X[k : k + 37], Y[k : k + 37]) for k in range(0, 300, 37))
+    fit = least_squares((X[k : k + 37], Y[k : k + 37]) for k in range(0, 300, 37))
     mpmath.mp.dps = 50
     MX, MY = mpmath.matrix(X.tolist()), mpmath.matrix(Y.tolist())
     exact = mpmath.inverse(MX.T * MX) * (MX.T * MY)
@@ -61,7 +62,7 @@ def test_k_is_linear_in_what_it_predicts(seed, a, b):
     """(3): the coefficients of a f + b g are a (those of f) + b (those of g)."""
     rng = np.random.default_rng(seed)
     X, f, g = rng.normal(size=(50, 5)), rng.normal(size=(50, 2)), rng.normal(size=(50, 2))
-    solve = lambda Y: koopman.least_squares([(X, Y)]).coefficients  # noqa: E731
+    solve = lambda Y: least_squares([(X, Y)]).coefficients  # noqa: E731
     assert np.allclose(solve(a * f + b * g), a * solve(f) + b * solve(g), atol=1e-12)
 
 
@@ -70,7 +71,7 @@ def test_linear_system_gives_its_exponential_and_log_gives_it_back():
     dt = 0.05
     recording, Ad, Bd = linear_system(A4, B4, dt)
     psi = tras.Monomials(1).fit(recording.states, recording.inputs)
-    K = koopman.koopman_matrix(psi, recording).coefficients
+    K, _ = koopman.koopman_matrix(psi, recording)
     exact = np.zeros((7, 7))
     exact[0, 0], exact[1:5, 1:5], exact[5:, 1:5], exact[5:, 5:] = 1, Ad.T, Bd.T, np.eye(2)
     assert np.abs(K - exact).max() <= 1e-10
@@ -100,10 +101,10 @@ def test_slow_manifold_has_its_exact_spectrum():
     mu, lam, dt = -0.05, -1.0, 0.1
     recording = ode_recording(lambda x, u: [mu * x[0], lam * (x[1] - x[0] ** 2)], dt, n=2)
     psi = SlowManifold().fit(recording.states)
-    K = koopman.koopman_matrix(psi, recording)
-    A = generator(K.coefficients, dt)
+    K, _ = koopman.koopman_matrix(psi, recording)
+    A = generator(K, dt)
     assert np.allclose(np.sort(np.linalg.eigvals(A).real), [lam, 2 * mu, mu, 0], atol=1e-9)
-    assert np.allclose(np.sort(np.linalg.eigvals(K.coefficients).real), np.exp(np.array([lam, 2 * mu, mu, 0]) * dt), atol=1e-10)
+    assert np.allclose(np.sort(np.linalg.eigvals(K).real), np.exp(np.array([lam, 2 * mu, mu, 0]) * dt), atol=1e-10)
     model = tras.KoopmanModel(SlowManifold()).fit(recording)
     x = np.random.default_rng(1).uniform(-1, 1, (20, 2))
     exact = np.column_stack([mu * x[:, 0], lam * (x[:, 1] - x[:, 0] ** 2)])
@@ -144,7 +145,7 @@ def test_vector_field_least_squares_is_equation_18_solved_densely():
     psi = tras.GaussianRBF(5, seed=2).fit(recording.states, recording.inputs)
     N = len(psi.names)
     A = rng.normal(size=(N, N))
-    R = koopman.koopman_matrix(psi, recording).R
+    R = koopman.koopman_matrix(psi, recording)[1].R
     W = field_by_least_squares(A, psi, recording, R)
     x, u = recording.states[:, :-1].reshape(-1, 2), recording.inputs[:, :-1].reshape(-1, 1)
     lifted, J = psi(x, u), psi.jacobian(x, u)
@@ -158,7 +159,7 @@ def test_logarithm_against_extended_precision():
     K = expm(0.3 * rng.normal(size=(7, 7)))
     mpmath.mp.dps = 40
     exact = np.array(mpmath.logm(mpmath.matrix(K.tolist())).apply(mpmath.re).tolist(), dtype=float)
-    assert np.abs(principal_logarithm(K) - exact).max() <= 1e-13 * np.abs(exact).max() * np.linalg.cond(K)
+    assert np.abs(principal_logarithm(K)[0] - exact).max() <= 1e-13 * np.abs(exact).max() * np.linalg.cond(K)
 
 
 @pytest.mark.parametrize(
@@ -175,11 +176,20 @@ def test_no_principal_logarithm_is_said_with_the_eigenvalue(K, eigenvalue):
     assert abs(caught.value.eigenvalue - eigenvalue) < 1e-12
 
 
+def test_dead_time_has_no_logarithm():
+    """A zero Jordan block, as a delay of whole samples gives it, in a random basis: its eigenvalues are zero up to eps^(1/3) only."""
+    for seed in range(6):
+        S = np.random.default_rng(seed).normal(size=(4, 4))
+        K = S @ np.array([[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 0], [0, 0, 0, 0.9]]) @ np.linalg.inv(S)
+        with pytest.raises(LogarithmError, match="closed negative real axis"):
+            principal_logarithm(K)
+
+
 def test_negative_real_parts_alone_do_no_harm():
     """The paper asks for eigenvalues with non-negative real parts; a rotation by 120 degrees a sample has none, and a logarithm."""
     K = 0.9 * np.array([[np.cos(2.1), np.sin(2.1)], [-np.sin(2.1), np.cos(2.1)]])
     assert np.all(np.linalg.eigvals(K).real < 0)
-    assert np.allclose(principal_logarithm(K), [[np.log(0.9), 2.1], [-2.1, np.log(0.9)]], atol=1e-13)
+    assert np.allclose(principal_logarithm(K)[0], [[np.log(0.9), 2.1], [-2.1, np.log(0.9)]], atol=1e-13)
 
 
 def test_branch_distance():

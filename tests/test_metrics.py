@@ -53,6 +53,45 @@ def test_divergence_is_noticed_and_not_averaged():
     assert list(metrics.diverged(TRUE, wrong)) == [True, True]
 
 
+def test_a_span_of_the_whole_stands_in_for_that_of_a_part():
+    assert np.allclose(metrics.nrmse(TRUE[:1], WRONG[:1], span=[4.0, 4.0]), [100 * np.sqrt(1 / 2) / 4, 100 / 4])
+    wrong = TRUE + [0.0, 30.0]
+    assert list(metrics.diverged(TRUE, wrong)) == [False, False]
+    assert list(metrics.diverged(TRUE, wrong, span=[4.0, 2.0])) == [True, True]
+
+
+def test_an_exact_prediction_of_a_constant_has_not_diverged():
+    for level, limit in ((0.0, 10.0), (0.5, 5.0), (-3.0, 30.0)):
+        true = np.dstack([np.full((2, 5), level), np.tile(np.arange(5.0), (2, 1))])
+        assert list(metrics.diverged(true, true)) == [False, False]
+        for error, lost in ((limit * 0.99, False), (limit * 1.01, True)):
+            assert list(metrics.diverged(true, true + [error, 0])) == [lost, lost]
+        assert list(metrics.diverged(true, true + [1.0, 0], span=[0.09, 4])) == [True, True]
+        assert list(metrics.diverged(true, true + [limit * 0.99, 0], span=[0, 4])) == [False, False]
+
+
+METRICS = [metrics.enr, metrics.bfr, metrics.nrmse, metrics.diverged, lambda t, p: metrics.nrmse(t, p, range_over="trajectory")]
+
+
+@pytest.mark.parametrize("metric", METRICS)
+@pytest.mark.parametrize(
+    "true, predicted, words",
+    [
+        (np.ones((2, 10, 3)), np.ones((2, 10, 1)), "different shapes .2 of .10, 3. and 2 of .10, 1.."),
+        (np.ones((2, 10, 3)), np.ones((1, 10, 3)), "different shapes"),
+        ([np.ones((4, 1))] * 2, [np.ones((4, 1))], "different shapes"),
+        ([np.ones((4, 1)), np.ones((4, 2))], [np.ones((4, 1))] * 2, "true holds trajectories .* unequal numbers of channels"),
+        ([np.ones((4, 1))], [np.ones((4, 1)), np.ones(4)], "predicted is no set of trajectories"),
+        ([], [], "true has shape .0,.: it holds no sample"),
+        (np.ones((0, 10, 3)), np.ones((0, 10, 3)), "true has shape .0, 10, 3.: it holds no sample"),
+        ([[[1.0], [np.nan]]], [[[1.0], [1.0]]], "true is nan in trajectory 0 at sample 1, channel 0"),
+    ],
+)
+def test_shapes_are_checked_everywhere(metric, true, predicted, words):
+    with pytest.raises(ValueError, match=words):
+        metric(true, predicted)
+
+
 @pytest.mark.parametrize(
     "call, words",
     [
@@ -60,6 +99,11 @@ def test_divergence_is_noticed_and_not_averaged():
         (lambda: metrics.nrmse(np.zeros((3, 1)), np.zeros((3, 1))), "channel 0: the truth is constant"),
         (lambda: metrics.enr(np.zeros((3, 1)), np.zeros((3, 1))), "channel 0: the truth is zero"),
         (lambda: metrics.nrmse(np.zeros(3), np.zeros(3)), "no set of trajectories"),
+        (lambda: metrics.nrmse(TRUE, TRUE, span=[1.0]), "span is .1.0.; give one finite range for each of the 2"),
+        (lambda: metrics.nrmse(TRUE, TRUE, span=[1.0, 0.0]), "channel 1: the span is zero"),
+        (lambda: metrics.diverged(TRUE, TRUE, span=[1.0, np.nan]), "span is .1.0, nan."),
+        (lambda: metrics.nrmse(TRUE, TRUE, range_over="trajectory", span=[1.0, 1.0]), "give one of the two"),
+        (lambda: metrics.nrmse(TRUE, TRUE, range_over="trajectory"), "channel 0: the truth of trajectory 1 is constant"),
         (lambda: metrics.nrmse(TRUE, TRUE, range_over="window"), "range_over is 'window'"),
     ],
 )

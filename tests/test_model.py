@@ -54,7 +54,7 @@ def test_lifted_linear_lifts_once_and_one_step_lifts_again():
         x[:, k + 1] = 0.8 * x[:, k] - 0.2 * x[:, k] ** 2 + u[:, k]
     recording = tras.Recording(x, u, 1.0)
     relifted = tras.KoopmanModel(tras.Monomials(2), "one_step").fit(recording)
-    once = tras.KoopmanModel(tras.Monomials(2), "lifted_linear").fit(recording)
+    once = tras.KoopmanModel(tras.Monomials(2), "lifted_linear", regularization=None).fit(recording)
     assert np.abs(relifted.predict(recording) - x).max() <= 1e-12
     error = np.abs(once.predict(recording) - x).max(axis=(0, 2))
     assert error[1] <= 1e-12 < 1e-4 < error[10:].max()
@@ -141,7 +141,7 @@ def test_simulate_broadcasts(torque_data):
 def test_prediction_that_leaves_is_nan_from_there_on_and_the_others_go_on():
     """x' = x^2 escapes in finite time from x0 > 0 and decays from x0 < 0."""
     recording = ode_recording(lambda x, u: [x[0] ** 2], 0.05, n=1, samples=11, size=0.9)
-    model = tras.KoopmanModel(tras.Monomials(2), "one_step").fit(recording)
+    model = tras.KoopmanModel(tras.Monomials(2), "one_step", extrapolation="functions").fit(recording)
     states = model.simulate([[0.9], [-0.5]], np.empty((400, 0)))
     lost = np.isnan(states[0, :, 0])
     assert lost.any() and np.all(lost[np.argmax(lost) :]) and not lost[: np.argmax(lost)].any()
@@ -201,6 +201,49 @@ def test_loading_runs_no_code_and_names_bad_files(tmp_path, torque_data):
             tras.load_model(tmp_path / "other.npz")
 
 
+def test_a_refit_forgets_the_fit_before(torque_data):
+    model = tras.KoopmanModel(tras.GaussianRBF(2), field="least_squares").fit(torque_data)
+    assert "differs from the field by coordinates" in model.report()
+    model.set_params(field="coordinates").fit(torque_data)
+    assert "differs" not in model.report()
+    model.set_params(predictor="one_step")
+    with pytest.raises(ValueError, match="fitted with .'vector_field', 0.; fit it again"):
+        model.predict(torque_data)
+    model.fit(torque_data)
+    assert not hasattr(model, "generator") and "Runge" not in model.report()
+
+
+def test_models_of_a_grid_search_and_of_drawn_centres_are_saved(torque_data, tmp_path):
+    grid = {"dictionary__degree": np.arange(1, 3)}
+    best = GridSearchCV(tras.KoopmanModel(tras.Monomials(1)), grid, cv=2).fit(torque_data).best_estimator_
+    best.save(tmp_path / "a.npz")
+    assert np.array_equal(tras.load_model(tmp_path / "a.npz").predict(torque_data), best.predict(torque_data))
+    drawn = tras.KoopmanModel(tras.GaussianRBF(3, seed=np.random.default_rng(5))).fit(torque_data)
+    drawn.save(tmp_path / "b.npz")
+    again = clone(tras.load_model(tmp_path / "b.npz")).fit(torque_data)
+    assert np.array_equal(again.dictionary_.centres_, drawn.dictionary_.centres_)
+
+
+def test_a_dictionary_of_ones_own_is_not_saved(torque_data, tmp_path):
+    class Own(tras.Monomials):
+        pass
+
+    with pytest.raises(ValueError, match="'Own' is not one of this package"):
+        tras.KoopmanModel(Own(2)).fit(torque_data).save(tmp_path / "a.npz")
+    assert not list(tmp_path.iterdir())
+
+
+def test_damaged_files_are_named(torque_data, tmp_path):
+    tras.KoopmanModel(tras.Monomials(1)).fit(torque_data).save(tmp_path / "good.npz")
+    with np.load(tmp_path / "good.npz") as file:
+        arrays = dict(file)
+    (tmp_path / "empty.npz").write_bytes(b"")
+    np.savez(tmp_path / "less.npz", **{key: value for key, value in arrays.items() if key != "W_"})
+    for name, words in (("empty.npz", "cannot be read"), ("less.npz", "lacks 'W_'")):
+        with pytest.raises(ValueError, match=words):
+            tras.load_model(tmp_path / name)
+
+
 def constant_input(experiment):
     x, u = experiment.states, experiment.inputs[..., 2:].copy()
     u[..., 1] = 0.5
@@ -218,6 +261,14 @@ def constant_input(experiment):
         (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit([e, e.select(inputs=TORQUES)]), "recording 1 has input_names"),
         (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(constant_input(e)), "channel 'u_psi' is constant .0.5."),
         (lambda e: tras.KoopmanModel(tras.Monomials(1)).simulate([0], [[0]]), "not fitted"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1)).predict(e), "not fitted"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1)).eigenvalues, "not fitted"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(tras.Recording(e.states[:, :1], e.inputs[:, :1], 0.01)), "no trajectory has two samples"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1), delays=-1).fit(e), "delays is -1"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1), delays=501).fit(e), "too few for 501 delays"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1), strength=-1).fit(e), "strength is -1"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1), regularization="lasso").fit(e), "regularization is 'lasso'; choose one of shrink"),
+        (lambda e: tras.KoopmanModel(tras.Monomials(1), stable=True).fit(e), "stable=True needs predictor='lifted_linear'"),
         (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(e).simulate([0, 0], e.inputs), "x0 has shape"),
         (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(e).simulate([0, 0, 0, 0], [0, 0]), "inputs has shape"),
         (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(e).simulate([0, 0, 0, np.inf], e.inputs), "NaN or infinity"),

@@ -1,5 +1,7 @@
 """The plant against independent references: energy, Lagrange's equations, finite differences, DOP853."""
 
+import math
+
 import mpmath
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import tras
-from tras.plant import equations_of_motion
+from tras.plant import equations_of_motion, stepper
 
 numbers = st.floats(-3, 3, allow_nan=False)
 states = st.tuples(numbers, numbers, numbers, numbers)
@@ -89,34 +91,103 @@ def test_jacobian_matches_complex_step(plant, x, u):
     assert np.allclose(np.hstack([A, B]), exact, rtol=1e-9, atol=1e-9 * (1 + np.abs(exact).max()))
 
 
+LIMITS = np.array([[-0.144, -0.241], [0.207, 0.140]])
+
+
 def dop853(x0, held, dt, plant):
+    """States at the samples, restarted at each, where the torques jump."""
+    accelerations = equations_of_motion(plant, math)
     states = [np.asarray(x0, dtype=float)]
-    for u in held[:-1]:
-        flow = solve_ivp(lambda t, x: tras.vector_field(x, u, plant), (0, dt), states[-1], method="DOP853", rtol=1e-12, atol=1e-13)
-        states.append(flow.y[:, -1])
+    for u in held[:-1].tolist():
+
+        def rates(t, x):
+            x = x.tolist()
+            phiddot, psiddot = accelerations(*x, *u)
+            return x[1], phiddot, x[3], psiddot
+
+        states.append(solve_ivp(rates, (0, dt), states[-1], method="DOP853", rtol=1e-12, atol=1e-13, max_step=0.01).y[:, -1])
     return np.array(states)
 
 
+def random_runs(seed, count):
+    """Rates of 3 and 10 rad/s at the start; random, bang-bang and constant torques in turn: (name, x0, held for 6 s at 0.01 s)."""
+    rng = np.random.default_rng(seed)
+    for i in range(count):
+        rate = (3, 10)[i % 2]
+        x0 = rng.uniform([-1.2, -rate, -3, -rate], [1.2, rate, 3, rate])
+        kind = ("random", "bang-bang", "constant", "bang-bang every 0.5 s")[i // 2 % 4]
+        if kind == "random":
+            held = rng.uniform(*LIMITS, (601, 2))
+        elif kind == "constant":
+            held = np.tile(rng.uniform(*LIMITS), (601, 1))
+        else:
+            hold = 1 if kind == "bang-bang" else 50
+            held = np.repeat(np.where(rng.random((601 // hold + 1, 2)) < 0.5, *LIMITS), hold, axis=0)[:601]
+        yield f"{i}: {kind}, {rate} rad/s", x0, held
+
+
 RNG = np.random.default_rng(5)
+START = [0.3, 0.5, 1.0, 3.0]
 SIX_SECONDS = {
-    "random torques each sample": (0.01, RNG.uniform([-0.144, -0.241], [0.207, 0.140], (601, 2))),
-    "full torque, yaw spins at 17 rad/s": (0.01, np.tile([0.207, -0.241], (601, 1))),
-    "full torque the other way": (0.01, np.tile([-0.144, 0.140], (601, 1))),
-    "smooth": (0.01, np.column_stack([0.03 + 0.1 * np.sin(0.02 * np.arange(601)), 0.1 * np.sin(0.013 * np.arange(601))])),
-    "slow sampling": (0.2, RNG.uniform([-0.144, -0.241], [0.207, 0.140], (31, 2))),
+    "full torque, yaw spins at 17 rad/s": (0.01, START, np.tile([0.207, -0.241], (601, 1))),
+    "full torque the other way": (0.01, START, np.tile([-0.144, 0.140], (601, 1))),
+    "smooth": (0.01, START, np.column_stack([0.03 + 0.1 * np.sin(0.02 * np.arange(601)), 0.1 * np.sin(0.013 * np.arange(601))])),
+    "slow sampling": (0.2, START, RNG.uniform(*LIMITS, (31, 2))),
+    "yaw spins up as the beam rises": (0.01, [-1, 0, 0, 10], np.tile([0.1, -0.2], (601, 1))),
+    "constant, 5 rad/s": (0.01, [0.5, 1, 0, 5], np.tile([-0.144, -0.241], (601, 1))),
+    "one hold of 6 s": (6.0, START, np.tile([0.207, -0.241], (2, 1))),
+    **{f"holds of 1 s {name}": (1.0, x0, held[::100]) for name, x0, held in random_runs(1, 16)},
+    **{name: (0.01, x0, held) for name, x0, held in random_runs(2, 16)},
 }
 
 
 @pytest.mark.parametrize("case", SIX_SECONDS)
 def test_integrator_against_dop853(case, parameters):
-    dt, held = SIX_SECONDS[case]
-    x0 = [0.3, 0.5, 1.0, 3.0]
+    dt, x0, held = SIX_SECONDS[case]
     error = tras.simulate_plant(x0, held, dt, parameters) - dop853(x0, held, dt, parameters)
     assert np.abs(error).max() <= 1e-9
 
 
-def test_integrator_is_of_order_six(parameters):
-    # Slow enough that the bound on the angle turned in a step does not shorten the steps.
+def test_speed_that_grows_inside_a_long_sample(parameters):
+    """Ten times the torque that the rig can give, from rest, held for 1.5 s: far outside the promise, but no nonsense."""
+    x0, held = [0, 0, 0, 0], np.full((2, 2), 2.0)
+    ours = tras.simulate_plant(x0, held, 1.5, parameters)
+    assert np.abs(ours[-1]).max() > 50
+    assert np.abs(ours - dop853(x0, held, 1.5, parameters)).max() <= 1e-8
+
+
+def test_where_dop853_itself_is_wrong_by_more_than_1e_9(parameters, monkeypatch):
+    """Not in the table above: this motion magnifies a disturbance 100000 times in 6 s, and DOP853 at rtol 1e-12 pays for it."""
+    _, x0, held = list(random_runs(0, 111))[110]
+    ours, disturbed = (tras.simulate_plant(x, held, 0.01, parameters) for x in (x0, x0 + [1e-8, 0, 0, 0]))
+    assert np.abs(disturbed - ours).max() > 1e-8 * 1e4
+    monkeypatch.setattr(tras.plant, "_SPEED", 0.5)  # steps a quarter as long
+    fine = tras.simulate_plant(x0, held, 0.01, parameters)
+    assert np.abs(dop853(x0, held, 0.01, parameters) - fine).max() > 1e-9
+    assert np.abs(ours - fine).max() <= 1e-9
+
+
+def test_an_ordinary_sample_is_one_step(parameters, monkeypatch):
+    """What makes 500 s of closed loop simulate in half a second: seven evaluations a sample."""
+    states = tras.simulate_plant([-0.4, 0.5, 1.0, 1.2], np.zeros((501, 2)), 0.01, parameters)
+    assert np.abs(states[:, [1, 3]]).max() < 1.3
+    cos, calls = math.cos, []
+    monkeypatch.setattr(math, "cos", lambda angle: calls.append(angle) or cos(angle))
+    advance = stepper(parameters, 0.01)
+    for x in states.tolist():
+        advance(x, (0.0, 0.0))
+    assert len(calls) == 7 * len(states)
+
+
+@pytest.mark.parametrize("torque", [1e4, 1e8, 1e200, 1e308])
+@pytest.mark.parametrize("batch", [(), (3,)])
+def test_a_run_that_blows_up_is_named(torque, batch, parameters):
+    with pytest.raises(ValueError, match="left the representable range.*reduce the torques"):
+        tras.simulate_plant(np.zeros((*batch, 4)), np.full((1001, 2), torque), 0.01, parameters)
+
+
+def test_integrator_is_of_order_six(parameters, monkeypatch):
+    monkeypatch.setattr(tras.plant, "_SPEED", 1e3)  # no step is shortened
     x0, held = [-0.45, 0.02, 0.1, 0.02], np.tile([-0.001, 0.0005], (6, 1))
     exact = tras.simulate_plant(x0, held, 0.4, parameters, step=0.01)
     errors = [np.abs(tras.simulate_plant(x0, held, 0.4, parameters, step=h) - exact).max() for h in (0.4, 0.2)]
@@ -159,6 +230,10 @@ def test_masses_lump_to_the_parameters(parameters):
         (lambda p: tras.PlantParameters(G_c=float("nan")), "G_c is nan"),
         (lambda p: tras.PlantParameters(K_psi="0.003"), "K_psi is '0.003'"),
         (lambda p: tras.PlantParameters(u_phi_limits=(1, 0)), "u_phi_limits"),
+        (lambda p: tras.PlantParameters(u_phi_limits=0.2), "u_phi_limits is 0.2; give .lowest, highest."),
+        (lambda p: tras.PlantParameters(u_psi_limits=(0, np.inf)), "u_psi_limits is .0, inf."),
+        (lambda p: tras.rest_point(tras.PlantParameters(G_c=0, G_s=0)), "G_c and G_s are both 0"),
+        (lambda p: tras.rest_point(p, (np.nan, 0)), "torques holds NaN"),
         (lambda p: tras.vector_field([0, 0, 0], [0, 0], p), "x has shape .3,."),
         (lambda p: tras.vector_field([0, 0, 0, 0], [0], p), "u has shape .1,."),
         (lambda p: tras.simulate_plant([0, 0, 0, np.nan], [[0, 0]], 0.01, p), "x0 holds NaN"),

@@ -3,6 +3,7 @@
 import hashlib
 
 import numpy as np
+import pandas
 import pytest
 import xarray
 from hypothesis import given, settings
@@ -10,6 +11,8 @@ from hypothesis import strategies as st
 
 import tras
 
+R = tras.Recording
+ZEROS = np.zeros((2, 5, 3))
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
 
 
@@ -38,6 +41,58 @@ def test_file_round_trip_is_exact(lengths, n, m, data, tmp_path_factory):
     again = tras.Recording.read(path)
     assert same(recording, again)
     assert again.attributes == {"seed": 3, "who": "me", "limits": [1.0, 2.0]}
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | finite | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(attributes=st.dictionaries(st.text(), VALUES, max_size=5))
+def test_attributes_come_back_exactly(attributes, tmp_path_factory):
+    path = tmp_path_factory.mktemp("nc") / "a.nc"
+    R(ZEROS, dt=1, attributes=attributes).write(path)
+    assert repr(R.read(path).attributes) == repr(attributes)  # repr tells True from 1 and 1 from 1.0
+
+
+def test_attributes_of_every_kind(tmp_path):
+    given = {"nothing": None, "yes": True, "one": [3], "nested": [[1, 2.5], ["a", []]], "seed": 7, "who": "me", "rate": 0.1, "format": "mine",
+             "long": "x" * 200_000, "units": {"phi": "rad"}, "numpy": np.float32(0.5), "array": np.arange(3), "pair": (1, 2)}  # fmt: skip
+    recording = R(ZEROS, dt=1, attributes=given)
+    recording.write(tmp_path / "a.nc")
+    expected = {**given, "numpy": 0.5, "array": [0, 1, 2], "pair": [1, 2]}
+    assert repr(R.read(tmp_path / "a.nc").attributes) == repr(recording.attributes) == repr(expected)
+    with xarray.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as dataset:
+        assert (dataset.attrs["seed"], dataset.attrs["who"], dataset.attrs["rate"], dataset.attrs["yes"]) == (7, "me", 0.1, 1)
+    recording.attributes["later"] = {1, 2}
+    with pytest.raises(ValueError, match="attribute 'later' holds .1, 2. .set."):
+        recording.write(tmp_path / "b.nc")
+    assert not (tmp_path / "b.nc").exists()
+
+
+def test_the_numbers_are_our_own():
+    states, inputs = np.zeros((2, 5, 3)), [np.zeros((5, 1)), np.zeros((5, 1))]
+    recording = R(states, inputs, 1)
+    states[:], inputs[0][:] = 7, 7
+    assert not recording.states.any() and not recording.inputs.any()
+    for part in (recording, recording.cut(3), recording[0], ragged().cut_all(2)):
+        for x, u in part:
+            assert not x.flags.writeable and not u.flags.writeable
+    x, _ = next(iter(recording))
+    with pytest.raises(ValueError, match="read-only"):
+        x[0] = 1
+    assert all(np.shares_memory(x, next(iter(recording))[0]) for x, _ in recording[0].cut(3))  # views, no copies
+
+
+def test_a_single_sample_is_a_recording_without_pairs():
+    assert R(np.zeros((2, 1, 3)), dt=1).pairs == 0
+
+
+def test_whole_floats_count():
+    assert len(R(np.zeros((1, 1001, 1)), dt=1).cut(501.0)) == 2
 
 
 def test_same_content_same_bytes_and_nothing_else_left(tmp_path):
@@ -104,10 +159,6 @@ def test_select_reorders_channels(experiment):
     assert np.array_equal(chosen.states, experiment.states[..., [2, 0]])
 
 
-R = tras.Recording
-ZEROS = np.zeros((2, 5, 3))
-
-
 @pytest.mark.parametrize(
     "call, words",
     [
@@ -123,10 +174,33 @@ ZEROS = np.zeros((2, 5, 3))
         (lambda: R(ZEROS, dt=1, state_names=["a", "b"]), "state_names has 2 entries"),
         (lambda: R(ZEROS, dt=1, state_names=["a", "b", "a"]), "repeat a name"),
         (lambda: R(ZEROS, np.zeros((2, 5, 1)), 1, state_names=list("abc"), input_names=["c"]), "'c' stands for a state and for an input"),
+        (lambda: R(ZEROS, dt="0.01"), "dt is '0.01'"),
+        (lambda: R(ZEROS, dt=True), "dt is True"),
+        (lambda: R(ZEROS, dt=1, state_names="abc"), "state_names is the string 'abc'"),
+        (lambda: R(ZEROS, dt=1, state_names=["a", 2, "c"]), "state_names holds 2; give strings"),
+        (lambda: R(ZEROS, dt=1, state_units=["a", None, "c"]), "state_units holds None; give strings"),
+        (lambda: R(ZEROS, dt=1, state_names=["a", "", "c"]), "state_names holds ''; give names that are not empty"),
+        (lambda: R(ZEROS, dt=1, state_names=["a", "rad/s", "c"]), "state_names holds 'rad/s'; .* no '/'"),
+        (lambda: R(ZEROS, ZEROS[..., :1], 1, input_names=["time"]), "input_names holds 'time'; .* none of trajectory, time, sample, row_size"),
+        (lambda: R(pandas.DataFrame({"phi": [1.0]}), dt=1), "states is a DataFrame; give a list of arrays"),
+        (lambda: R([[1.0, 2.0], [3.0, 4.0]], dt=1), "states has shape .2, 2.; give .trajectories, samples, channels."),
+        (lambda: R(np.ma.masked_equal(np.arange(10.0).reshape(1, 5, 2), 7), dt=1), "trajectory 0 is missing .masked. at sample 3 in column 1"),
+        (lambda: R([np.ma.masked_equal(np.arange(10.0).reshape(5, 2), 7)], dt=1), "trajectory 0 is missing .masked. at sample 3 in column 1"),
+        (lambda: R(ZEROS + 1j, dt=1), "states cannot be read as numbers .they are complex128."),
+        (lambda: R(None, dt=1), "states cannot be read as numbers"),
+        (lambda: R(ZEROS, dt=1, attributes={"when": np.datetime64("2020-01-01")}), "attribute 'when' holds .*, which JSON cannot hold"),
+        (lambda: R(ZEROS, dt=1, attributes={"gap": [1.0, np.nan]}), "attribute 'gap' holds nan"),
+        (lambda: R(ZEROS, dt=1, attributes={3: 1}), "the key 3"),
+        (lambda: R(ZEROS, dt=1, attributes=[1]), "attributes is .1."),
         (lambda: R(np.full((1, 5, 1), np.nan), dt=1), "channel 'x1' is nan in trajectory 0 at sample 0"),
         (lambda: R(ZEROS, dt=1).select(states=["theta"]), "no channel 'theta'"),
         (lambda: R(ZEROS, dt=1).split(0.1, 0), "leaves one side empty"),
+        (lambda: R(ZEROS, dt=1).split(float("nan"), 0), "fraction = nan of 2"),
+        (lambda: R(ZEROS, dt=1).split("half", 0), "fraction = half"),
         (lambda: R(ZEROS, dt=1).cut(1), "samples = 1"),
+        (lambda: R(ZEROS, dt=1).cut(2.5), "samples = 2.5; give a whole number"),
+        (lambda: R(ZEROS, dt=1).cut_all(float("nan")), "samples = nan"),
+        (lambda: R(ZEROS, dt=1).delayed(-1), "delays = -1"),
         (lambda: R(ZEROS, dt=1).write("a.csv"), "ends in '.csv'"),
     ],
 )

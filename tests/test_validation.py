@@ -44,9 +44,37 @@ def test_diverged_windows_are_counted_and_left_out(two):
     scores = validation.score(Late(error=0.1, bad=[3, 4, 12]), two, 5.0).set_index(["recording", "angle"])
     assert list(scores["diverged"]) == [2, 2, 1, 1]
     kept = two["second"].cut(501).states[[0, 1, 3, 4, 5, 6, 7, 8, 9]][..., [2]]
-    assert scores.loc[("second", "yaw"), "nrmse"] == pytest.approx(metrics.nrmse(kept, kept + 0.1)[0])
+    assert scores.loc[("second", "yaw"), "nrmse"] == pytest.approx(100 * 0.1 / np.ptp(two["second"].cut(501).states[..., 2]))
+    assert scores.loc[("second", "yaw"), "enr"] == pytest.approx(metrics.enr(kept, kept + 0.1)[0])
     gone = validation.score(Late(bad=slice(None)), two, 5.0)
     assert gone["nrmse"].isna().all() and list(gone["diverged"]) == [10] * 4
+
+
+def test_losing_the_widest_window_does_not_narrow_the_range(experiment):
+    t = np.linspace(0, 1, 101)[:, None]
+    states = np.array([[1.0, 0, 1, 0], [1, 0, 1, 0], [8, 0, 8, 0]])[:, None] * t
+    recording = tras.Recording(states, dt=0.01, state_names=["phi", "phidot", "psi", "psidot"])
+    scores = validation.score(Late(error=0.4, bad=2), {"ramps": recording}, 1.0)
+    assert list(scores["diverged"]) == [1, 1] and np.allclose(scores["nrmse"], 100 * 0.4 / 8)
+    assert np.allclose(validation.error_growth(Late(error=0.4, bad=2), recording, 1.0, every=50)["nrmse"], 100 * 0.4 / 8)
+
+
+def test_mistakes_name_recording_and_angle(experiment):
+    still = tras.Recording(experiment.states[:1] * [1, 1, 0, 1], dt=0.01, state_names=experiment.state_names)
+    pitch = experiment.select(states=["phi", "phidot"])
+    for call, words in (
+        (lambda: validation.score(Late(), {"moving": experiment.select(inputs=[]), "still": still}, 5.0), "recording 'still', yaw: the truth psi is constant"),
+        (lambda: validation.score(Late(), {"half": pitch}, 5.0), "recording 'half', yaw: there is no state 'psi'; there are phi, phidot"),
+        (lambda: validation.score(Late(), {"short": experiment}, 50.0), "recording 'short': samples = 5001"),
+        (lambda: validation.error_growth(Late(), still, 5.0), "yaw: the truth psi is constant"),
+        (lambda: validation.typical_window(Late(), still, 5.0), "yaw: the truth psi is constant"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            call()
+
+
+def test_error_growth_of_nothing_left_is_nan(experiment):
+    assert validation.error_growth(Late(bad=slice(None)), experiment, 5.0)["nrmse"].isna().all()
 
 
 def test_error_growth_is_the_error_at_each_instant(experiment):
@@ -80,21 +108,22 @@ def test_overlay_starts_at_the_truth(experiment):
 
 def a_table():
     rows = []
-    for i, (name, model) in enumerate(tables.COLUMNS):
-        for horizon in (6.0, 500.0):
+    sources = [source for source in tables.COLUMNS if source[0] != "paper"]
+    for i, (name, model) in enumerate(sources):
+        for kind, horizon in (("window", 6.0), ("free run", 500.0)):
             for seed in (1, 2, 3):
                 for angle in ("yaw", "pitch"):
                     value = 1.0 + i + 0.1 * seed**2  # skewed: the median is not the mean
-                    rows.append({"recording": f"multisine {seed}", "horizon": horizon, "angle": angle, "enr": value / 100, "bfr": 90.0, "nrmse": value,
-                                 "windows": 83, "diverged": 1 if i == 2 else 0, "input": name, "model": model})  # fmt: skip
+                    rows.append({"recording": f"multisine {seed}", "kind": kind, "horizon": horizon, "angle": angle, "enr": value / 100, "bfr": 90.0,
+                                 "nrmse": value, "windows": 83, "diverged": 1 if i == 2 else 0, "input": name, "model": model})  # fmt: skip
         rows.append({**rows[-1], "recording": "steps", "nrmse": 99.0})
-    identification = pd.DataFrame([{"input": name, "model": model, "condition": 123.4} for name, model in tables.COLUMNS])
-    return tables.comparison(pd.DataFrame(rows), identification, 6.0, 500.0)
+    identification = pd.DataFrame([{"input": name, "model": model, "condition": 123.4} for name, model in sources])
+    return tables.comparison(pd.DataFrame(rows), identification)
 
 
 def test_comparison_takes_median_and_range_over_the_multisines_only():
     table = a_table()
-    row = table[(table["horizon"] == 6) & (table["metric"] == "nrmse") & (table["angle"] == "yaw") & (table["input"] == "torque")].iloc[0]
+    row = table[(table["kind"] == "window") & (table["metric"] == "nrmse") & (table["angle"] == "yaw") & (table["input"] == "torque")].iloc[0]
     assert (row["median"], row["lowest"], row["highest"]) == pytest.approx((3.4, 3.1, 3.9))
     assert (row["windows"], row["diverged"]) == (249, 3)
     paper = table[table["input"] == "paper"]
@@ -105,7 +134,8 @@ def test_rendering_shows_paper_range_condition_and_divergence(tmp_path, capsys):
     a_table().to_csv(tmp_path / "table.csv", index=False)
     text = tables.markdown(tables.read(tmp_path / "table.csv"))
     assert "| NRMSE (%), yaw, 6 s windows | 4.0589 | 1.40 (1.10 to 1.90) |" in text
-    assert "| diverged, 6 s | not given | 0 of 249 | 0 of 249 | 3 of 249 | 0 of 249 |" in text
+    assert "| diverged, 6 s windows | not given | 0 of 249 | 0 of 249 | 3 of 249 | 0 of 249 | 0 of 249 |" in text
+    assert "| Enr, yaw, 6 s windows | not given | 0.0140 (0.0110 to 0.0190) |" in text
     assert "| 1.2e+02 |" in text
     readme = tmp_path / "README.md"
     readme.write_text(f"before\n{tables.BEGIN}\nold\n{tables.END}\nafter\n")

@@ -30,7 +30,7 @@ _ROOMS = {
     "ThinPlate": "radial",
     "Mechanical": "mechanical",
     "KoopmanModel": "model",
-    "load_model": "model",
+    "load_model": "storage",
     "metrics": "metrics",
 }
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tras.plant import STATE_NAMES, STATE_UNITS, TORQUE_NAMES, TORQUE_UNITS, PlantParameters, stepper
+from tras.plant import STATE_NAMES, STATE_UNITS, TORQUE_NAMES, TORQUE_UNITS, PlantParameters, stepper, torque_limits
 from tras.recording import Recording, versions
 
 REFERENCE_NAMES = ("phi_ref", "psi_ref")
@@ -30,12 +30,24 @@ class PID:
         N m/rad, N m/(rad s), N m s/rad.
     limits : (float, float)
         Lowest and highest torque in N m.
+
+    Raises
+    ------
+    ValueError
+        If a gain is not a finite number or the limits are not two finite torques in order.
     """
 
     P: float
     I: float  # noqa: E741 the field's own name
     D: float
     limits: tuple[float, float]
+
+    def __post_init__(self):
+        for name in "PID":
+            gain = getattr(self, name)
+            if isinstance(gain, bool) or not isinstance(gain, (int, float, np.number)) or not math.isfinite(gain):
+                raise ValueError(f"{name} is {gain!r}; give a finite gain.")
+        object.__setattr__(self, "limits", torque_limits("limits", self.limits))
 
     @classmethod
     def pole_placement(cls, inertia, limits, *, frequency=4.0, damping=0.9, integral_rate=1.0):
@@ -44,7 +56,7 @@ class PID:
         ``frequency`` in rad/s, ``integral_rate`` in 1/s.
         """
         P = inertia * frequency**2
-        return cls(P=P, I=P * integral_rate, D=2 * damping * frequency * inertia, limits=tuple(limits))
+        return cls(P=P, I=P * integral_rate, D=2 * damping * frequency * inertia, limits=limits)
 
     @classmethod
     def defaults(cls, parameters):
@@ -76,7 +88,7 @@ def simulate_closed_loop(reference, dt, parameters=None, *, controllers=None, x0
     step : float
         Longest integration step in s.
     attributes : dict, optional
-        Goes into the recording beside the plant's parameters and the gains (seed, kind of excitation, ...).
+        Goes into the recording beside the plant's parameters, the gains and limits (seed, kind of excitation, ...).
 
     Returns
     -------
@@ -108,6 +120,7 @@ def simulate_closed_loop(reference, dt, parameters=None, *, controllers=None, x0
         attributes={
             **{f"plant_{name}": value for name, value in parameters.as_dict().items()},
             **{f"pid_{axis}_{gain}": getattr(c, gain) for axis, c in zip(("phi", "psi"), controllers) for gain in "PID"},
+            **{f"pid_{axis}_limits": list(c.limits) for axis, c in zip(("phi", "psi"), controllers)},
             **{f"version_{name}": version for name, version in versions().items()},
             "integration_step": step,
             **(attributes or {}),
@@ -116,9 +129,13 @@ def simulate_closed_loop(reference, dt, parameters=None, *, controllers=None, x0
 
 
 def saturated(recording, parameters):
-    """Share of samples with a torque at its limit, (pitch, yaw), as fractions."""
+    """Share of samples with a torque at its limit, (pitch, yaw), as fractions.
+
+    The limits are those of the controllers, which `simulate_closed_loop` records, else those of ``parameters``.
+    """
     torques = np.concatenate(recording.select(inputs=TORQUE_NAMES).inputs)
-    limits = np.array([parameters.u_phi_limits, parameters.u_psi_limits])
+    recorded = recording.attributes
+    limits = np.array([recorded.get(f"pid_{axis}_limits", getattr(parameters, f"u_{axis}_limits")) for axis in ("phi", "psi")], dtype=float)
     return ((torques <= limits[:, 0]) | (torques >= limits[:, 1])).mean(axis=0)
 
 

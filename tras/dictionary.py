@@ -84,6 +84,11 @@ class Dictionary(BaseEstimator):
         """Indices of the functions that are the states themselves: the constant comes first, then they."""
         return np.arange(1, 1 + self.n_states_)
 
+    @property
+    def confined(self):
+        """Channels in which the functions are guesswork beyond the data, by number; None is all. See `tras.rollout.Hull`."""
+        return None
+
     def _learn(self, z):
         """Nothing depends on the data unless a subclass says so."""
 

@@ -28,7 +28,8 @@ def multisine(duration, dt, max_frequency, peak, rng, *, max_correlation=0.05, d
         Highest frequency of each channel in rad/s.
     peak : sequence of float
         Largest absolute value of each channel, in the channel's unit.
-    rng : numpy.random.Generator
+    rng : numpy.random.Generator or int
+        An integer is a seed.
     max_correlation : float
         Largest absolute correlation coefficient between two channels over one period.
     draws : int
@@ -50,7 +51,7 @@ def multisine(duration, dt, max_frequency, peak, rng, *, max_correlation=0.05, d
     >>> r.shape, np.abs(r).max(axis=0).round(5).tolist()
     ((50001, 2), [1.22173, 3.14159])
     """
-    samples = grid(duration, dt)
+    samples, rng = grid(duration, dt), _generator(rng)
     max_frequency, peak = np.atleast_1d(max_frequency), np.atleast_1d(peak)
     if max_frequency.shape != peak.shape:
         raise ValueError(f"max_frequency has {max_frequency.size} channels but peak has {peak.size}; give one of each a channel.")
@@ -91,7 +92,7 @@ def steps(duration, dt, peak, rng, *, shortest=4.0, longest=10.0):
 
     Channels change at times of their own. Parameters and result as for `multisine`.
     """
-    samples = grid(duration, dt)
+    samples, rng = grid(duration, dt), _generator(rng)
     if not 0 < shortest <= longest:
         raise ValueError(f"shortest = {shortest} s and longest = {longest} s; give 0 < shortest <= longest.")
     signals = []
@@ -122,6 +123,13 @@ def grid(duration, dt):
     if intervals < 1 or abs(intervals * dt - duration) > 1e-9 * duration:
         raise ValueError(f"duration = {duration} s is not a whole number of samples of dt = {dt} s; change one of them.")
     return intervals + 1
+
+
+def _generator(rng):
+    try:
+        return np.random.default_rng(rng)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"rng is {rng!r}; give a numpy.random.Generator or a seed, an integer of 0 or more.") from error
 
 
 def _cosines(phases, points):

@@ -30,6 +30,7 @@ MODEL_NAMES = {
     "gaussian": "Gaussian RBF, 2 centres",
     "gaussian28": "Gaussian RBF, many centres",
     "monomials2": "monomials, degree 2",
+    "mechanical": "mechanical (ours)",
 }
 _SPECTRUM_MARKERS = [
     {"marker": "o", "markerfacecolor": "none", "color": "#0072B2", "markersize": 5},
@@ -241,7 +242,7 @@ def horizon_figure(table):
     matplotlib.figure.Figure
     """
     require(table, "table", ["input", "model", "angle", "time", "nrmse"])
-    figure, axes = new_figure(height=3.0, rows=2, columns=2, sharey=True)
+    figure, axes = new_figure(height=3.1, rows=2, columns=2, sharey=True)
     for row, angle in zip(axes, ("yaw", "pitch")):
         for panel, name in zip(row, dict.fromkeys(table["input"])):
             chosen = table[(table["angle"] == angle) & (table["input"] == name)]

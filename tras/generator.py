@@ -25,6 +25,12 @@ def branch_distance(eigenvalues):
 def principal_logarithm(K):
     """The principal logarithm of a real matrix (N. J. Higham, *Functions of Matrices*, 2008, Thm. 1.31 and Ch. 11).
 
+    Returns
+    -------
+    logarithm : (N, N) ndarray
+    residual : float
+        ``|exp(logarithm) - K| / |K|`` in the Frobenius norm: how well the logarithm was computed.
+
     Raises
     ------
     LogarithmError
@@ -34,32 +40,34 @@ def principal_logarithm(K):
     K = np.asarray(K, dtype=float)
     eigenvalues = linalg.eigvals(K)
     distance = branch_distance(eigenvalues)
-    worst = int(np.argmin(distance))
-    if distance[worst] <= len(K) * np.finfo(float).eps * np.abs(eigenvalues).max():
-        value = complex(eigenvalues[worst])
-        shown = f"{value.real:.6g}" if value.imag == 0 else f"{value:.6g}"
+    worst = complex(eigenvalues[int(np.argmin(distance))])
+    advice = "use more data, a shorter sampling time or a smaller dictionary, or predictor='one_step', which needs no logarithm."
+    if distance.min() <= len(K) * np.finfo(float).eps * np.abs(eigenvalues).max():
+        shown = f"{worst.real:.6g}" if worst.imag == 0 else f"{worst:.6g}"
         raise LogarithmError(
-            f"the Koopman matrix has the eigenvalue {shown} on the closed negative real axis, where no principal logarithm exists: use "
-            "more data, a shorter sampling time or a smaller dictionary, or predictor='one_step', which needs no logarithm.",
-            value,
+            f"the Koopman matrix has the eigenvalue {shown}, to working precision on the closed negative real axis, where no principal "
+            f"logarithm exists: {advice}",
+            worst,
         )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the residual below is checked instead
-        logarithm = linalg.logm(K)
-    logarithm = np.real(logarithm)
-    residual = linalg.norm(linalg.expm(logarithm) - K) / linalg.norm(K)
-    if not residual <= 1e-6:
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")  # the residual is checked instead
+        try:
+            logarithm = np.real(linalg.logm(K))
+            residual = float(linalg.norm(linalg.expm(logarithm) - K) / linalg.norm(K))
+        except (ValueError, linalg.LinAlgError):
+            residual = np.inf
+    if not residual <= 1e-8:  # NaN included
         raise LogarithmError(
-            f"the logarithm of the Koopman matrix is not accurate (exp(log K) misses K by {residual:.1e}, relative), its eigenvalue "
-            f"{complex(eigenvalues[worst]):.6g} is too close to the negative real axis: use more data or a smaller dictionary.",
-            complex(eigenvalues[worst]),
+            f"the logarithm of the Koopman matrix cannot be computed accurately (relative residual {residual:.1e}): its eigenvalue {worst:.6g} "
+            f"is too close to the closed negative real axis, {advice}",
+            worst,
         )
-    return logarithm
+    return logarithm, residual
 
 
 def generator(K, dt):
     """``A = log(K) / dt``, equation (15): d/dt of ``psi^T a`` is ``psi^T A a``. (N, N) -> (N, N) in 1/s."""
-    return principal_logarithm(K) / dt
+    return principal_logarithm(K)[0] / dt
 
 
 def field_by_coordinates(A, dictionary):

@@ -58,9 +58,16 @@ class Mechanical(Dictionary):
         self._shape, self._words = shape, words
         self._powers = np.array([k for k, _ in terms])
         self._word = np.array([words.index(w) for _, w in terms])
-        # For the slopes: each factor of each word, and the word without it.
-        self._factors = [(j, i, tuple(w[:k] + w[k + 1 :])) for j, w in enumerate(words) for k, i in enumerate(w) if i < n]
+        # A word has at most two letters: its product is one of two rows of (1, z), 0 standing for the 1.
+        self._letters = np.array([[1 + i for i in w] + [0] * (2 - len(w)) for w in words]).T
+        # For the slopes: each factor of each word that is a state, and what it leaves.
+        self._factors = [(j, i, w[:k] + w[k + 1 :]) for j, w in enumerate(words) for k, i in enumerate(w) if i < n]
         return len(terms)
+
+    @property
+    def confined(self):
+        """The positions: inputs and velocities enter at most quadratically, as mechanics has it everywhere."""
+        return self._roles()[0]
 
     def _roles(self):
         n = self.n_states_
@@ -77,32 +84,32 @@ class Mechanical(Dictionary):
         return positions, velocities, shape
 
     def _fill(self, psi, z):
-        chebyshev, _ = self._chebyshev(z)
-        np.multiply(chebyshev, self._products(z)[self._word], out=psi[1 + len(z) :])
+        polynomials = self._polynomials([_chebyshev(z[i], self.degree) for i in self._shape])
+        np.multiply(polynomials, self._products(psi, z)[self._word], out=psi[1 + len(z) :])
 
     def _fill_slopes(self, slopes, psi, z):
         head = 1 + len(z)
-        chebyshev, derivatives = self._chebyshev(z)
-        products = self._products(z)
-        for i, derivative in zip(self._shape, derivatives):
-            slopes[head:, i] += derivative * products[self._word]
+        tables = [_chebyshev(z[i], self.degree) for i in self._shape]
+        products = self._products(psi, z)[self._word]
+        for c, i in enumerate(self._shape):
+            derived = [_chebyshev_derivatives(z[i], self.degree) if d == c else table for d, table in enumerate(tables)]
+            slopes[head:, i] += self._polynomials(derived) * products
+        polynomials = self._polynomials(tables)
         for j, i, rest in self._factors:
             rows = np.flatnonzero(self._word == j)
-            slopes[head + rows, i] += chebyshev[rows] * _product(z, rest)
+            slopes[head + rows, i] += polynomials[rows] * (z[rest[0]] if rest else 1.0)
 
-    def _products(self, z):
-        """The products of channels: (words, points)."""
-        return np.array([_product(z, word) for word in self._words])
+    def _products(self, psi, z):
+        """The words' values (words, points), from the head of ``psi``, which is (1, z)."""
+        first, second = self._letters
+        return psi[first] * psi[second]
 
-    def _chebyshev(self, z):
-        """Products of Chebyshev polynomials of the shape for each function, and their derivatives by each shape coordinate."""
-        tables = [_chebyshev(z[i], self.degree) for i in self._shape]
-        factors = [T[self._powers[:, c]] for c, (T, _) in enumerate(tables)]
-        derivatives = []
-        for c, (_, dT) in enumerate(tables):
-            others = [factor for d, factor in enumerate(factors) if d != c]
-            derivatives.append(np.prod([dT[self._powers[:, c]], *others], axis=0))
-        return np.prod(factors, axis=0), derivatives
+    def _polynomials(self, tables):
+        """Products over the shape of polynomials, one row a function: tables (degree + 1, points) -> (functions, points)."""
+        product = tables[0][self._powers[:, 0]]
+        for c in range(1, len(tables)):
+            product = product * tables[c][self._powers[:, c]]
+        return product
 
     def _tail_names(self, channels):
         names = []
@@ -112,15 +119,21 @@ class Mechanical(Dictionary):
         return names
 
 
-def _product(z, word):
-    return np.prod(z[list(word)], axis=0) if word else np.ones(z.shape[1])
-
-
 def _chebyshev(s, degree):
-    """T_0 ... T_degree at s (points,) and their derivatives ``T_k' = k U_(k-1)``: two arrays (degree + 1, points)."""
-    T, U = np.ones((degree + 1, len(s))), np.zeros((degree + 1, len(s)))  # U[k] holds U_(k-1)
-    T[1], U[1] = s, 1
+    """T_0 ... T_degree at s (points,): (degree + 1, points)."""
+    T = np.empty((degree + 1, len(s)))
+    T[0], T[1] = 1, s
+    twice = 2 * s
     for k in range(2, degree + 1):
-        T[k] = 2 * s * T[k - 1] - T[k - 2]
+        np.multiply(twice, T[k - 1], out=T[k])
+        T[k] -= T[k - 2]
+    return T
+
+
+def _chebyshev_derivatives(s, degree):
+    """``T_k' = k U_(k-1)``: (degree + 1, points)."""
+    U = np.zeros((degree + 1, len(s)))  # U[k] holds U_(k-1)
+    U[1] = 1
+    for k in range(2, degree + 1):
         U[k] = 2 * s * U[k - 1] - U[k - 2]
-    return T, U * np.arange(degree + 1)[:, None]
+    return U * np.arange(degree + 1)[:, None]

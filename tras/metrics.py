@@ -2,7 +2,8 @@
 
 Every function takes truth and prediction of shape (..., samples, n), or two lists of (samples_i, n) when lengths differ, and
 returns one value a channel, over all trajectories and samples together. None averages over a diverged prediction without
-a word: find those with `diverged` and count them.
+a word: find those with `diverged` and count them. Shapes that differ, no trajectory at all, and NaN or infinity in the truth
+are a ValueError.
 """
 
 import numpy as np
@@ -16,7 +17,7 @@ def enr(true, predicted):
     >>> float(enr([[3.0], [4.0]], [[3.0], [3.0]])[0])
     0.2
     """
-    true, predicted = _pair(true, predicted)
+    true, predicted = map(np.concatenate, _pair(true, predicted))
     return np.linalg.norm(true - predicted, axis=0) / _positive(np.linalg.norm(true, axis=0), "the truth is zero throughout")
 
 
@@ -25,12 +26,12 @@ def bfr(true, predicted):
 
     The paper prints it without "1 -"; as printed a worse model would score higher.
     """
-    true, predicted = _pair(true, predicted)
+    true, predicted = map(np.concatenate, _pair(true, predicted))
     spread = _positive(np.linalg.norm(true - true.mean(axis=0), axis=0), "the truth is constant")
     return 100 * np.maximum(1 - np.linalg.norm(true - predicted, axis=0) / spread, 0)
 
 
-def nrmse(true, predicted, *, range_over="all"):
+def nrmse(true, predicted, *, range_over="all", span=None):
     """Root mean square error over the range of the truth, equation (21), in PERCENT: 0 is perfect.
 
     Parameters
@@ -39,45 +40,78 @@ def nrmse(true, predicted, *, range_over="all"):
     range_over : {"all", "trajectory"}
         Where ``y_max - y_min`` is taken: over all trajectories (default), or over each by itself, the NRMSE of all then being
         the root mean square of the trajectories' own.
+    span : (n,) array_like, optional
+        The range itself, when ``true`` is only a part of the truth that it belongs to; with ``range_over="all"``.
     """
+    true, predicted = _pair(true, predicted)
     if range_over == "all":
-        true, predicted = _pair(true, predicted)
-        return 100 * np.sqrt(np.mean((true - predicted) ** 2, axis=0)) / _positive(np.ptp(true, axis=0), "the truth is constant")
+        if span is None:
+            span = _positive(np.ptp(np.concatenate(true), axis=0), "the truth is constant")
+        else:
+            span = _positive(_span(span, true), "the span is zero")
+        return 100 * np.sqrt(np.mean((np.concatenate(true) - np.concatenate(predicted)) ** 2, axis=0)) / span
     if range_over != "trajectory":
         raise ValueError(f"range_over is {range_over!r}; choose 'all' or 'trajectory'.")
-    each = np.array([nrmse(t, p) for t, p in zip(_trajectories(true), _trajectories(predicted), strict=True)])
-    return np.sqrt(np.mean(each**2, axis=0))
+    if span is not None:
+        raise ValueError("span is given and range_over is 'trajectory', which takes each trajectory's own; give one of the two.")
+    spans = [_positive(np.ptp(t, axis=0), f"the truth of trajectory {i} is constant") for i, t in enumerate(true)]
+    each = np.array([np.mean(((t - p) / width) ** 2, axis=0) for t, p, width in zip(true, predicted, spans)])
+    return 100 * np.sqrt(np.mean(each, axis=0))
 
 
-def diverged(true, predicted, *, factor=10.0):
+def diverged(true, predicted, *, factor=10.0, span=None):
     """Which predictions have left for good: (trajectories,) bool.
 
     A trajectory has diverged if its prediction holds NaN or infinity anywhere, or if its error somewhere exceeds ``factor`` times
-    the range of the truth over all trajectories, in any channel.
+    the range of the truth over all trajectories, in any channel. ``span`` (n,) is used as the range if given. A channel whose
+    range is zero is compared with the largest absolute value of its truth instead, and one that is zero throughout with 1.
     """
-    true, predicted = _trajectories(true), _trajectories(predicted)
-    limit = factor * np.ptp(np.concatenate(true), axis=0)
+    true, predicted = _pair(true, predicted)
+    together = np.concatenate(true)
+    span = np.ptp(together, axis=0) if span is None else _span(span, true)
+    size = np.abs(together).max(axis=0)
+    limit = factor * np.where(span > 0, span, np.where(size > 0, size, 1.0))
     # Written so that NaN counts as diverged.
-    return np.array([not np.all(np.abs(t - p) <= limit) for t, p in zip(true, predicted, strict=True)])
+    return np.array([not np.all(np.abs(t - p) <= limit) for t, p in zip(true, predicted)])
 
 
-def _trajectories(values):
+def _trajectories(name, values):
     """A list of (samples_i, n)."""
-    if isinstance(values, (list, tuple)) and np.ndim(values[0]) == 2:
-        return [np.asarray(value, dtype=float) for value in values]
-    values = np.asarray(values, dtype=float)
-    if values.ndim < 2:
-        raise ValueError(f"shape {values.shape} is no set of trajectories; give (..., samples, n) or a list of (samples, n).")
-    return list(values.reshape(-1, *values.shape[-2:]))
+    if isinstance(values, (list, tuple)) and len(values) and all(np.ndim(value) == 2 for value in values):
+        values = [np.asarray(value, dtype=float) for value in values]
+    else:
+        try:
+            values = np.asarray(values, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{name} is no set of trajectories ({error}); give (..., samples, n) or a list of (samples, n).") from error
+        if values.size == 0:
+            raise ValueError(f"{name} has shape {values.shape}: it holds no sample; give one trajectory or more.")
+        if values.ndim < 2:
+            raise ValueError(f"{name} has shape {values.shape}, no set of trajectories; give (..., samples, n) or a list of (samples, n).")
+        values = list(values.reshape(-1, *values.shape[-2:]))
+    if len({value.shape[1] for value in values}) > 1 or min(value.size for value in values) == 0:
+        raise ValueError(f"{name} holds trajectories without samples or with unequal numbers of channels; give a list of (samples, n).")
+    return values
 
 
 def _pair(true, predicted):
-    """Both as (all samples, n), of the same shapes."""
-    true, predicted = _trajectories(true), _trajectories(predicted)
+    """Both as lists of (samples_i, n), of the same shapes, the truth finite."""
+    true, predicted = _trajectories("true", true), _trajectories("predicted", predicted)
     shapes = [t.shape for t in true], [p.shape for p in predicted]
     if shapes[0] != shapes[1]:
         raise ValueError(f"true and predicted have different shapes ({_some(shapes[0])} and {_some(shapes[1])}); compare like with like.")
-    return np.concatenate(true), np.concatenate(predicted)
+    for i, t in enumerate(true):
+        if not np.isfinite(t).all():
+            sample, channel = np.argwhere(~np.isfinite(t))[0]
+            raise ValueError(f"true is {t[sample, channel]} in trajectory {i} at sample {sample}, channel {channel}; leave that out.")
+    return true, predicted
+
+
+def _span(span, true):
+    span = np.asarray(span, dtype=float)
+    if span.shape != true[0].shape[1:] or not np.all((span >= 0) & np.isfinite(span)):
+        raise ValueError(f"span is {span.tolist()}; give one finite range for each of the {true[0].shape[1]} channels.")
+    return span
 
 
 def _some(shapes):

@@ -1,25 +1,24 @@
-"""Identified models: fit, simulate, score, save, load (paper, Algorithm of Sec. IV and "Model Comparison")."""
+"""Identified models: fit, simulate, score, report (paper, Algorithm of Sec. IV and "Model Comparison")."""
 
-import json
 import math
-import zipfile
-from pathlib import Path
 
 import numpy as np
 from scipy import linalg
 from sklearn.base import BaseEstimator, clone
 
-import tras
 from tras import dictionary as dictionaries
-from tras import generator, koopman, metrics
-from tras.files import replacing
-from tras.recording import Recording, versions
+from tras import generator, koopman, metrics, rollout, storage
+from tras.leastsquares import StreamingLeastSquares
+from tras.recording import Recording, join
+from tras.regularization import METHODS, STRENGTHS, regularized
+from tras.selection import hold_out, multi_step_error
 
-PREDICTORS = ("vector_field", "one_step", "lifted_linear")
-FIELDS = ("coordinates", "least_squares")
-_FORMAT = "tras model 1"
-_LIMIT = 1e3  # half-ranges of the training data; a prediction beyond is abandoned and NaN from there on
-
+OPTIONS = {
+    "predictor": ("vector_field", "one_step", "lifted_linear"),
+    "field": ("coordinates", "least_squares"),
+    "regularization": (*METHODS, None),
+    "extrapolation": ("linear", "functions"),
+}
 
 class KoopmanModel(BaseEstimator):
     """A model identified by extended dynamic mode decomposition (EDMD).
@@ -39,13 +38,27 @@ class KoopmanModel(BaseEstimator):
     Parameters
     ----------
     dictionary : Dictionary
-        For example ``Monomials(2)`` or ``GaussianRBF(2)``. It is cloned, never changed.
+        For example ``Mechanical()`` for a mechanical system whose torques are known, ``Monomials(2)`` or ``GaussianRBF(100, width="auto",
+        centres="kmeans")`` for one of which nothing is known. It is cloned, never changed.
     predictor : {"vector_field", "one_step", "lifted_linear"}
+    delays : int
+        Earlier samples of the states that count as states too, for recordings in which not all states are measured. The discrete
+        predictors also take the earlier inputs; with ``vector_field`` they cannot (they would have the eigenvalue zero).
     field : {"coordinates", "least_squares"}
         How W is had from A for ``vector_field``: from the states' columns of A, or from equation (18) over all points, as in the
-        paper. They agree where the dictionary's span is invariant (with ``least_squares``, ``field_disagreement_`` says how far they are apart). Elsewhere
-        (18) asks every function's equation to hold, and the projection error of all of them leaks into F; the states' columns
-        carry only their own. For large N (18) also takes several times as long as K itself.
+        paper. They agree where the dictionary's span is invariant (with ``least_squares``, ``field_disagreement_`` says how far they are
+        apart). Elsewhere (18) asks every function's equation to hold, and the projection error of all of them leaks into F; the
+        states' columns carry only their own. For large N (18) also takes several times as long as K itself.
+    regularization : {"shrink", "tikhonov", "truncated", "sparse", None}
+        See `tras.regularization.regularized`; None is plain least squares, as in the paper.
+    strength : "auto" or float
+        ``"auto"`` tries 0 and six more, and keeps the one whose roll-outs of up to 501 samples on every fifth trajectory, not fitted
+        meanwhile, are best; one-step errors would not show what runs away. Recordings of fewer than five trajectories are cut for it.
+    extrapolation : {"linear", "functions"}
+        Beyond the training data the functions of a dictionary are guesswork. ``"linear"`` keeps them at the data's edge and goes on
+        linearly and damped, so that predictions stay bounded (`tras.rollout.Hull`); ``"functions"`` trusts them.
+    stable : bool
+        With ``lifted_linear``: keep the spectral radius of A at most one (`tras.stability`).
 
     Attributes
     ----------
@@ -54,9 +67,15 @@ class KoopmanModel(BaseEstimator):
     generator : (N, N) ndarray
         A of (15) in 1/s; only for ``vector_field``.
     eigenvalues : (N,) complex ndarray
-        Of K; do not depend on units.
+        Of K, largest modulus first; do not depend on units.
     condition_number : float
         Of the matrix of liftings on scaled channels. Coefficients are good to about this times 1e-16.
+    rank_ : int
+        Its numerical rank, at most N.
+    strength_ : float
+        The strength used.
+    errors_ : dict
+        With ``strength="auto"``: strength -> multi-step error (root mean square in half-ranges, a sample counts 10 at most).
 
     Examples
     --------
@@ -71,10 +90,28 @@ class KoopmanModel(BaseEstimator):
     array([-0.5])
     """
 
-    def __init__(self, dictionary=None, predictor="vector_field", *, field="coordinates"):
+    def __init__(
+        self,
+        dictionary=None,
+        predictor="vector_field",
+        delays=0,
+        *,
+        field="coordinates",
+        regularization="shrink",
+        strength="auto",
+        extrapolation="linear",
+        stable=False,
+    ):
         self.dictionary = dictionary
         self.predictor = predictor
+        self.delays = delays
         self.field = field
+        self.regularization = regularization
+        self.strength = strength
+        self.extrapolation = extrapolation
+        self.stable = stable
+
+    # ------------------------------------------------------------------------------------------------------------ fitting
 
     def fit(self, recording, y=None):
         """Identify from a `Recording`, or a sequence of recordings with the same channels.
@@ -82,35 +119,117 @@ class KoopmanModel(BaseEstimator):
         Raises
         ------
         ValueError
-            On an unknown option, a constant channel, too few snapshot pairs, or functions that are linearly dependent on the data.
+            On an unknown option, a constant channel, too few snapshot pairs, channels or functions that are linearly dependent on the data.
         LogarithmError
             (a ValueError) If K has no principal logarithm.
         """
-        if self.predictor not in PREDICTORS:
-            raise ValueError(f"predictor is {self.predictor!r}; choose one of {', '.join(PREDICTORS)}.")
-        if self.field not in FIELDS:
-            raise ValueError(f"field is {self.field!r}; choose one of {', '.join(FIELDS)}.")
-        if not isinstance(self.dictionary, dictionaries.Dictionary):
-            raise ValueError(f"dictionary is {self.dictionary!r}; give one, for example tras.Monomials(2).")
+        self._check_options()
         recording = join(recording)
+        if recording.pairs == 0:
+            raise ValueError("no trajectory has two samples, so there are no snapshot pairs; record more.")
+        for name in [name for name in vars(self) if name.endswith("_") or name in ("koopman_matrix", "generator", "condition_number")]:
+            delattr(self, name)  # what an earlier fit found
         self._remember(recording)
+        x, u = (np.concatenate(part) for part in zip(*self._scaled(recording)))
+        self.dictionary_ = clone(self.dictionary).fit(x, u if self._lifts_inputs else None)
+        self.names_ = self.dictionary_.feature_names(self._channels(inputs=self._lifts_inputs))
+        self.fitted_as_ = (self.predictor, self.delays)
+        self._solver = StreamingLeastSquares()
+        return self._learn(recording)
+
+    def partial_fit(self, recording, y=None):
+        """Go on with more data: K is then the one of all recordings so far. Scales and centres stay those of the first recording.
+
+        Raises
+        ------
+        ValueError
+            With ``field="least_squares"``, which needs all data at once, and as for `fit`.
+        """
+        if not hasattr(self, "koopman_matrix"):
+            return self.fit(recording)
+        if self.field == "least_squares" and self.predictor == "vector_field":
+            raise ValueError("field is 'least_squares', which needs all data at once; use field='coordinates', or fit.")
+        if not hasattr(self, "_solver"):
+            raise ValueError("this model comes from a file, which keeps what was found and not the data; fit anew.")
+        return self._learn(self._same_channels(join(recording)))
+
+    def _learn(self, recording):
         scaled = self._scaled(recording)
-        lifts_inputs = self.predictor != "lifted_linear"
-        x, u = (np.concatenate(part) for part in zip(*scaled))
-        self.dictionary_ = clone(self.dictionary).fit(x, u if lifts_inputs else None)
-        names = self.dictionary_.feature_names(list(self.state_names_ + (self.input_names_ if lifts_inputs else ())))
-        solve = koopman.koopman_matrix if lifts_inputs else koopman.lifted_linear
-        fit = solve(self.dictionary_, scaled, names if lifts_inputs else names + list(self.input_names_))
-        N = len(names)
-        self.koopman_matrix, self.B_ = np.ascontiguousarray(fit.coefficients[:N]), np.ascontiguousarray(fit.coefficients[N:].T)
-        self.condition_number, self.residual_, self.pairs_, self.names_ = fit.condition_number, fit.residual, fit.rows, names
+        chooses = self.regularization is not None and self.strength == "auto" and self._tail
+        train, held = hold_out(scaled) if chooses else (scaled, None)
+        self._absorb(train)
+        strength = 0.0 if self.regularization is None or self.strength == "auto" else float(self.strength)
+        if held is not None:
+            strength = self._choose_strength(scaled, held)
+            self._absorb(held)
+        self._solve(strength, scaled)
+        return self
+
+    @property
+    def _lifts_inputs(self):
+        return self.predictor != "lifted_linear"
+
+    @property
+    def _tail(self):
+        """Number of functions behind constant, states and inputs."""
+        return len(self.names_) - len(self.dictionary_.coordinates) - 1 - self._lifts_inputs * len(self.input_names_)
+
+    def _absorb(self, scaled):
+        rows = koopman.rows if self._lifts_inputs else koopman.lifted_linear_rows
+        for x, u, y in koopman.snapshot_pairs(scaled, koopman.block_size(self.dictionary_), deal=True):
+            self._solver.update(*rows(self.dictionary_, x, u, y))
+            if self.extrapolation == "linear" and self._lifts_inputs and self._tail:
+                z = np.hstack([x, u]).T
+                if hasattr(self, "hull_"):
+                    self.hull_.widen(z)
+                else:
+                    self.hull_ = rollout.Hull(z, self.dictionary_.confined)
+
+    def _choose_strength(self, scaled, held):
+        self.errors_ = {}
+        for strength in STRENGTHS:
+            try:
+                self._solve(strength, scaled)
+                self.errors_[strength] = multi_step_error(self._predict_scaled(held), held, len(self.state_names_))
+            except ValueError as error:  # no logarithm, or functions that depend on each other: a stronger one may do
+                self.errors_[strength], reason = math.inf, error
+        best = min(self.errors_, key=self.errors_.get)
+        if math.isinf(self.errors_[best]):
+            raise reason
+        return best
+
+    def _solve(self, strength, scaled):
+        """Everything that follows from the rows so far: K, the generator, W, the slopes beyond the hull."""
+        fit = self._solver.solve(self._regressor_names())
+        head = len(fit.R) - self._tail
+        koopman.check_head(fit, head)
+        if strength == 0:
+            fit.require_full_rank()
+        D = fit.coefficients if strength == 0 else regularized(self.regularization, fit.R, fit.rotated, head)(strength)
+        self.condition_number, self.rank_, self.residual_, self.pairs_ = fit.condition_number, fit.rank, fit.residual, fit.rows
+        self.strength_ = strength
+        N, n, m = len(self.names_), len(self.dictionary_.coordinates), len(self.input_names_)
+        if self._lifts_inputs:
+            self.koopman_matrix = np.eye(N) + D
+        else:
+            if self.stable:
+                from tras import stability
+
+                D = stability.stable_change(fit, D, n, m)
+            inputs = np.arange(len(D)) - 1 - n
+            of_inputs = (inputs >= 0) & (inputs < m)
+            self.koopman_matrix, self.B_ = np.eye(N) + D[~of_inputs], np.ascontiguousarray(D[of_inputs].T)
+        if hasattr(self, "hull_"):
+            change = linalg.solve_triangular(fit.R[:head, :head], fit.rotated[:head, :head], check_finite=False)
+            self.outward_ = rollout.outward_rates(change, n, self.dt_)
+            self.outward_step_ = rollout.over_a_sample(self.outward_, self.dt_)
         if self.predictor == "vector_field":
             self._identify_field(scaled, fit.R)
-        return self
 
     def _identify_field(self, scaled, R):
         """The second and third step of the method: the generator, then W."""
-        self.generator = generator.generator(self.koopman_matrix, self.dt_)
+        logarithm, self.log_residual_ = generator.principal_logarithm(self.koopman_matrix)
+        self.generator = logarithm / self.dt_
         self.W_ = generator.field_by_coordinates(self.generator, self.dictionary_)
         if self.field == "least_squares":
             by_coordinates, self.W_ = self.W_, generator.field_by_least_squares(self.generator, self.dictionary_, scaled, R)
@@ -119,23 +238,34 @@ class KoopmanModel(BaseEstimator):
             self.field_disagreement_ = np.linalg.norm((self.W_ - by_coordinates) @ R.T, axis=1) / size
         x, u = (np.concatenate(part) for part in zip(*scaled))
         some = np.linspace(0, len(x) - 1, min(len(x), 2000)).astype(int)
-        self.substeps_ = self._enough_substeps(x[some].T, u[some].T)
+        self.substeps_ = rollout.enough_substeps(self._field, x[some].T, u[some].T, self.dt_)
+
+    # --------------------------------------------------------------------------------------------------------- predicting
 
     @property
     def eigenvalues(self):
         """Eigenvalues of K, largest modulus first."""
+        self._fitted()
         eigenvalues = linalg.eigvals(self.koopman_matrix)
         return eigenvalues[np.lexsort((-eigenvalues.imag, -np.abs(eigenvalues)))]
 
+    def lift(self, x, u=None):
+        """``psi(x, u)`` of states (..., n) and inputs (..., m) in physical units -> (..., N)."""
+        self._fitted()
+        x, u = self._points(x, u)
+        return self.dictionary_(x, u) if self._lifts_inputs else self.dictionary_(x)
+
     def vector_field(self, x, u=None):
-        """The identified ``dx/dt = F(x, u)`` in physical units: (..., n), (..., m) -> (..., n). Only for ``vector_field``."""
+        """The identified ``dx/dt = F(x, u)`` in physical units: (..., n), (..., m) -> (..., n). Only for ``vector_field``.
+
+        With delays ``x`` holds the newest sample first, then the earlier ones: (..., n (delays + 1)).
+        """
         self._fitted()
         if self.predictor != "vector_field":
             raise ValueError(f"predictor is {self.predictor!r}, which has no vector field; fit with predictor='vector_field'.")
-        x = np.asarray(x, dtype=float)
-        u = np.empty((*x.shape[:-1], 0)) if u is None else np.asarray(u, dtype=float)
-        psi = self.dictionary_((x - self.x_offset_) / self.x_scale_, (u - self.u_offset_) / self.u_scale_)
-        return psi @ self.W_.T * self.x_scale_
+        x, u = self._points(x, u)
+        z = np.concatenate([x.reshape(-1, x.shape[-1]), u.reshape(-1, u.shape[-1])] if u.shape[-1] else [x.reshape(-1, x.shape[-1])], axis=1)
+        return self._field(z.T).T.reshape(x.shape) * self._z_scale
 
     def simulate(self, x0, inputs):
         """Roll out from ``x0`` under ``inputs``, one sample of which acts from its own instant to the next.
@@ -143,13 +273,14 @@ class KoopmanModel(BaseEstimator):
         Parameters
         ----------
         x0 : (..., n) array_like
+            With delays the first ``delays + 1`` samples, (..., delays + 1, n); the prediction starts at the last of them.
         inputs : (..., samples, m) array_like
-            ``m = 0`` (autonomous): an empty array of shape (samples, 0).
+            From the first sample of ``x0`` on. ``m = 0`` (autonomous): an empty array of shape (samples, 0).
 
         Returns
         -------
         (..., samples, n) ndarray
-            The first sample is ``x0``. A prediction that leaves the training data's range a thousandfold is abandoned: NaN from there on.
+            Begins with ``x0``. A prediction that leaves the training data's range a thousandfold is abandoned: NaN from there on.
 
         Raises
         ------
@@ -158,75 +289,112 @@ class KoopmanModel(BaseEstimator):
         """
         self._fitted()
         x0, inputs = np.asarray(x0, dtype=float), np.asarray(inputs, dtype=float)
-        n, m = len(self.state_names_), len(self.input_names_)
-        if x0.ndim == 0 or x0.shape[-1] != n:
-            raise ValueError(f"x0 has shape {x0.shape}; its last axis must hold the {n} states {', '.join(self.state_names_)}.")
-        if inputs.ndim < 2 or inputs.shape[-1] != m or inputs.shape[-2] == 0:
-            raise ValueError(
-                f"inputs has shape {inputs.shape}; give (..., samples, {m}), at least one sample: {', '.join(self.input_names_) or 'no inputs'}."
-            )
+        n, m, d = len(self.state_names_), len(self.input_names_), self.delays
+        states, wanted = ", ".join(self.state_names_), ", ".join(self.input_names_) or "no inputs"
+        x0 = x0[..., None, :] if not d and x0.ndim else x0
+        if x0.ndim < 2 or x0.shape[-2:] != (d + 1, n):
+            shape = x0.shape if d else x0.shape[:-2] + x0.shape[-1:]
+            needed = f"(..., {d + 1}, {n}), the first {d + 1} samples of" if d else f"(..., {n}):"
+            raise ValueError(f"x0 has shape {shape}; give {needed} {states}.")
+        if inputs.ndim < 2 or inputs.shape[-1] != m or inputs.shape[-2] < d + 1:
+            raise ValueError(f"inputs has shape {inputs.shape}; give (..., samples, {m}), {d + 1} samples or more: {wanted}.")
         if not (np.isfinite(x0).all() and np.isfinite(inputs).all()):
             raise ValueError("x0 or inputs holds NaN or infinity; repair them first.")
-        batch = np.broadcast_shapes(x0.shape[:-1], inputs.shape[:-2])
+        batch = np.broadcast_shapes(x0.shape[:-2], inputs.shape[:-2])
         runs, samples = math.prod(batch), inputs.shape[-2]
-        z = np.broadcast_to((x0 - self.x_offset_) / self.x_scale_, (*batch, n)).reshape(runs, n).T
-        v = np.broadcast_to((inputs - self.u_offset_) / self.u_scale_, (*batch, samples, m)).reshape(runs, samples, m)
-        states = self._roll_out(z, v.transpose(1, 2, 0))
-        return (states.transpose(2, 0, 1) * self.x_scale_ + self.x_offset_).reshape(*batch, samples, n)
+        x = np.broadcast_to((x0 - self.x_offset_) / self.x_scale_, (*batch, d + 1, n)).reshape(runs, d + 1, n)
+        u = np.broadcast_to((inputs - self.u_offset_) / self.u_scale_, (*batch, samples, m)).reshape(runs, samples, m)
+        result = self._simulate_scaled(x, u) * self.x_scale_ + self.x_offset_
+        result[:, : d + 1] = np.broadcast_to(x0, (*batch, d + 1, n)).reshape(runs, d + 1, n)
+        return result.reshape(*batch, samples, n)
 
     def predict(self, recording):
         """Roll out every trajectory from its own first state under its own inputs; shaped like ``recording.states``."""
+        self._fitted()
         recording = self._same_channels(join(recording))
+        d = self.delays
         lengths = recording.lengths
+        if lengths.min() < d + 1:
+            raise ValueError(f"a trajectory has {lengths.min()} samples but {d} delays need {d + 1}; leave it out.")
         longest = np.zeros((len(recording), lengths.max(), recording.m))
         for padded, (_, u) in zip(longest, recording):
             padded[: len(u)] = u
-        states = self.simulate(np.stack([x[0] for x, _ in recording]), longest)
+        start = np.stack([x[: d + 1] for x, _ in recording])
+        states = self.simulate(start if d else start[:, 0], longest)
         return states if np.all(lengths == lengths[0]) else [x[:k] for x, k in zip(states, lengths)]
 
     def score(self, recording, y=None):
         """``-mean(NRMSE)`` over the states, in percent, of the roll-outs; ``-inf`` if one of them diverges."""
         recording = join(recording)
         predicted = self.predict(recording)
-        if metrics.diverged(recording.states, predicted).any():
+        true = self._same_channels(recording).states
+        if metrics.diverged(true, predicted).any():
             return -np.inf
-        return -float(np.mean(metrics.nrmse(recording.states, predicted)))
+        return -float(np.mean(metrics.nrmse(true, predicted)))
 
-    def report(self):
-        """What the fit found, in a few lines of text."""
+    def report(self, recording=None):
+        """What the fit found, in a few lines of text; with a recording, also how well it predicts that.
+
+        Parameters
+        ----------
+        recording : Recording, optional
+            Best one that was not fitted.
+        """
         self._fitted()
         eigenvalues = self.eigenvalues
+        radius = np.abs(eigenvalues).max()
         lines = [
-            f"{self.predictor} model of {len(self.state_names_)} states, {len(self.input_names_)} inputs at {self.dt_:g} s",
+            f"{self.predictor} model of {len(self.state_names_)} states, {len(self.input_names_)} inputs at {self.dt_:g} s, {self.delays} delays",
             f"dictionary {self.dictionary_}, N = {len(self.names_)} functions, {self.pairs_} snapshot pairs",
-            f"condition number of the liftings {self.condition_number:.2e}",
-            f"spectral radius of K {np.abs(eigenvalues).max():.8f}",
+            f"numerical rank {self.rank_}, condition number of the liftings {self.condition_number:.2e}",
+            f"regularization {self.regularization}, strength {self.strength_:g}"
+            + (f", chosen among {len(self.errors_)} by multi-step error" if hasattr(self, "errors_") else ""),
+            f"spectral radius of K {radius:.8f}: {'stable' if radius <= 1 + 1e-9 else 'the lifted system grows'}",
         ]
         if self.predictor == "vector_field":
             distance = generator.branch_distance(eigenvalues).min()
             lines += [
-                f"distance of the spectrum from the logarithm's branch cut {distance:.3g}",
+                f"distance of the spectrum from the logarithm's branch cut {distance:.3g}; exp(log K) misses K by {self.log_residual_:.1e}, relative",
                 f"vector field by {self.field}, {self.substeps_} Runge-Kutta step(s) a sample",
             ]
         if hasattr(self, "field_disagreement_"):
             apart = ", ".join(f"{name} {100 * d:.2g} %" for name, d in zip(self.state_names_, self.field_disagreement_))
             lines.append(f"it differs from the field by coordinates by {apart} (root mean square)")
-        return "\n".join(lines)
+        if hasattr(self, "hull_"):
+            lines.append("beyond the training data, plus a quarter, the model is linear and damped")
+        return "\n".join(lines + (self._report_on(self._same_channels(join(recording))) if recording is not None else []))
+
+    def _report_on(self, recording):
+        true, predicted = recording.states, self.predict(recording)
+        lost = metrics.diverged(true, predicted)
+        short = recording.cut(self.delays + 2)
+        one = metrics.nrmse(short.states[:, -1:], np.asarray(self.predict(short))[:, -1:])
+        kept = [i for i in range(len(recording)) if not lost[i]]
+        many = metrics.nrmse([true[i] for i in kept], [predicted[i] for i in kept]) if kept else np.full(len(one), np.nan)
+        both = ", ".join(f"{name} {a:.3g} and {b:.3g} %" for name, a, b in zip(self.state_names_, one, many))
+        return [f"one-step and multi-step NRMSE: {both}", f"diverged: {lost.sum()} of {len(lost)} trajectories"]
 
     def save(self, path):
         """Write to ``path`` (.npz: plain arrays and one JSON header, no pickle). Same model, same bytes."""
         self._fitted()
-        header = {
-            "format": _FORMAT,
-            "versions": versions(),
-            "predictor": self.predictor,
-            "field": self.field,
-            **{key: getattr(self, key + "_") for key in _HEADER},
-        }
-        arrays = {key: getattr(self, key) for key in _ARRAYS if hasattr(self, key)}
-        header["dictionary"] = _pack(self.dictionary_, "dictionary", arrays)
-        with replacing(_npz_path(path)) as temporary:
-            np.savez(temporary, header=np.array(json.dumps(header)), **arrays)
+        storage.save(self, path)
+
+    # ------------------------------------------------------------------------------------------------------------- inside
+
+    def _check_options(self):
+        for name, allowed in OPTIONS.items():
+            value = getattr(self, name)
+            if value not in allowed:
+                raise ValueError(f"{name} is {value!r}; choose one of {', '.join(map(str, allowed))}.")
+        if not isinstance(self.dictionary, dictionaries.Dictionary):
+            raise ValueError(f"dictionary is {self.dictionary!r}; give one, for example tras.Monomials(2).")
+        if isinstance(self.delays, bool) or not isinstance(self.delays, (int, np.integer)) or self.delays < 0:
+            raise ValueError(f"delays is {self.delays!r}; give a whole number, 0 or more.")
+        number = isinstance(self.strength, (int, float)) and not isinstance(self.strength, bool)
+        if self.strength != "auto" and not (number and 0 <= self.strength < math.inf):
+            raise ValueError(f"strength is {self.strength!r}; give 'auto' or a number that is not negative.")
+        if self.stable and self.predictor != "lifted_linear":
+            raise ValueError(f"stable=True needs predictor='lifted_linear', but it is {self.predictor!r}.")
 
     def _remember(self, recording):
         """Names, units, sampling time and the scale of each channel: its middle and half-range."""
@@ -248,9 +416,45 @@ class KoopmanModel(BaseEstimator):
             setattr(self, f"{letter}_offset_", (high + low) / 2)
             setattr(self, f"{letter}_scale_", scale)
 
+    @property
+    def _keeps_inputs(self):
+        """Whether earlier inputs are among the delayed states."""
+        return self.delays > 0 and self.predictor != "vector_field" and len(self.input_names_) > 0
+
+    @property
+    def _z_scale(self):
+        return self._delayed(self.x_scale_, self.u_scale_)
+
+    def _delayed(self, of_states, of_inputs):
+        return np.concatenate([np.tile(of_states, self.delays + 1), np.tile(of_inputs, self.delays * self._keeps_inputs)])
+
+    def _channels(self, inputs):
+        names = list(self.state_names_)
+        names += [f"{name}[-{k + 1}]" for k in range(self.delays) for name in self.state_names_]
+        names += [f"{name}[-{k + 1}]" for k in range(self.delays * self._keeps_inputs) for name in self.input_names_]
+        return names + (list(self.input_names_) if inputs else [])
+
+    def _regressor_names(self):
+        if self._lifts_inputs:
+            return self.names_
+        head = 1 + len(self.dictionary_.coordinates)
+        return [*self.names_[:head], *self.input_names_, *self.names_[head:]]
+
+    def _points(self, x, u):
+        """Scaled copies of states, delayed if need be, and inputs in physical units."""
+        x = np.asarray(x, dtype=float)
+        u = np.empty((*x.shape[:-1], 0)) if u is None else np.asarray(u, dtype=float)
+        offset = self._delayed(self.x_offset_, self.u_offset_)
+        if x.ndim == 0 or x.shape[-1] != len(offset) or u.shape != (*x.shape[:-1], len(self.input_names_)):
+            raise ValueError(
+                f"x has shape {x.shape} and u {u.shape}; give (..., {len(offset)}) and (..., {len(self.input_names_)}) with the same leading axes."
+            )
+        return (x - offset) / self._z_scale, (u - self.u_offset_) / self.u_scale_
+
     def _scaled(self, recording):
+        """The recording in scaled channels, delayed samples among the states."""
         scaled = [((x - self.x_offset_) / self.x_scale_, (u - self.u_offset_) / self.u_scale_) for x, u in recording]
-        return Recording(*map(list, zip(*scaled)), recording.dt)
+        return Recording(*map(list, zip(*scaled)), recording.dt).delayed(self.delays, inputs=self._keeps_inputs)
 
     def _same_channels(self, recording):
         """The recording with the model's channels in the model's order."""
@@ -259,170 +463,56 @@ class KoopmanModel(BaseEstimator):
             raise ValueError(f"the recording is sampled at {recording.dt:g} s but the model at {self.dt_:g} s; resample or fit again.")
         return recording
 
-    def _restore(self, header, arrays):
-        """Set what `fit` would have set, from a file's header and arrays."""
-        for key in _HEADER:
-            value = header[key]
-            setattr(self, key + "_", tuple(value) if isinstance(value, list) else value)
-        for key, value in arrays.items():
-            setattr(self, key, value.item() if value.ndim == 0 else value)
-
     def _fitted(self):
         if not hasattr(self, "koopman_matrix"):
             raise ValueError("the model is not fitted; call fit(recording) first.")
+        if (self.predictor, self.delays) != self.fitted_as_:
+            raise ValueError(
+                f"predictor and delays are {(self.predictor, self.delays)} but the model was fitted with {self.fitted_as_}; fit it again."
+            )
 
-    def _roll_out(self, z, inputs):
-        """Scaled states (samples, n, batch) from (n, batch) under (samples, m, batch)."""
-        advance, read = self._advance, lambda state: state
-        if self.predictor == "lifted_linear":
-            z = self.dictionary_(z.T).T
-            A, B, rows = self.koopman_matrix.T, self.B_, self.dictionary_.coordinates
-            advance, read = lambda state, u: A @ state + B @ u, lambda state: state[rows]
-        samples, _, batch = inputs.shape
-        states = np.empty((samples, len(self.state_names_), batch))
-        states[0] = read(z)
-        ends = np.full(batch, samples)  # where each prediction is abandoned
-        with np.errstate(over="ignore", invalid="ignore"):
-            for k in range(1, samples):
-                z = advance(z, inputs[k - 1])
-                x = states[k] = read(z)
-                inside = np.abs(x) <= _LIMIT  # False for NaN
-                if not inside.all():
-                    outside = ~inside.all(axis=0)
-                    ends[outside] = np.minimum(ends[outside], k)
-                    if (ends < samples).all():
-                        break
-                    z = np.where(outside, 0.0, z)
-        for i in np.flatnonzero(ends < samples):
-            states[ends[i] :, :, i] = np.nan
-        return states
+    def _field(self, point):
+        """Scaled rates (n', points) at (n' + m, points): W psi in the hull, linear beyond."""
+        if not hasattr(self, "hull_"):
+            return self.W_ @ self.dictionary_.lift(point)
+        near = self.hull_.nearest(point)
+        rates = self.W_ @ self.dictionary_.lift(near)
+        return rates if near is point else rates + self.outward_ @ (point - near)
+
+    def _step(self, point):
+        """Scaled states one sample later by the states' columns of K."""
+        near = self.hull_.nearest(point) if hasattr(self, "hull_") else point
+        later = self.koopman_matrix[:, self.dictionary_.coordinates].T @ self.dictionary_.lift(near)
+        return later if near is point else later + self.outward_step_ @ (point - near)
 
     def _advance(self, z, u):
-        """One sample: (n, batch), (m, batch) -> (n, batch), scaled."""
+        """One sample: (n', batch), (m, batch) -> (n', batch), scaled. What is known of the earlier samples is shifted, not predicted."""
         if self.predictor == "one_step":
-            return self.koopman_matrix[:, self.dictionary_.coordinates].T @ self.dictionary_.lift(np.concatenate([z, u]))
-        return self._integrate(z, u, self.substeps_)
+            later = self._step(np.concatenate([z, u]))
+        else:
+            later = rollout.runge_kutta(self._field, z, u, self.dt_, self.substeps_)
+        if self.delays:
+            n, m, d = len(self.state_names_), len(u), self.delays
+            later[n : n * (d + 1)] = z[: n * d]
+            if self._keeps_inputs:
+                past = n * (d + 1)
+                later[past : past + m], later[past + m :] = u, z[past:-m]
+        return later
 
-    def _integrate(self, z, u, substeps):
-        """Classical Runge-Kutta steps of order 4 of the scaled vector field W psi, the input held."""
-        h = self.dt_ / substeps
-        n = len(z)
-        point = np.concatenate([z, u])
-        W, lift = self.W_, self.dictionary_.lift
-        for _ in range(substeps):
-            k1 = W @ lift(point)
-            point[:n] = z + h / 2 * k1
-            k2 = W @ lift(point)
-            point[:n] = z + h / 2 * k2
-            k3 = W @ lift(point)
-            point[:n] = z + h * k3
-            k4 = W @ lift(point)
-            z = z + h / 6 * (k1 + 2 * (k2 + k3) + k4)
-            point[:n] = z
-        return z
+    def _predict_scaled(self, delayed):
+        """Roll-outs (samples, n', trajectories) of scaled trajectories, delays among the states, all of one length."""
+        z, u = delayed.states[:, 0].T, delayed.inputs.transpose(1, 2, 0)
+        if self.predictor == "lifted_linear":
+            A, B, rows = self.koopman_matrix.T, self.B_, self.dictionary_.coordinates
+            return rollout.roll_out(lambda s, v: A @ s + B @ v, self.dictionary_.lift(z), u, lambda s: s[rows])
+        return rollout.roll_out(self._advance, z, u)
 
-    def _enough_substeps(self, z, u, tolerance=1e-8, most=64):
-        """Doubled until halving the step moves no prediction over one sample by more than ``tolerance`` of a half-range."""
-        substeps, coarse = 1, self._integrate(z, u, 1)
-        while substeps < most:
-            fine = self._integrate(z, u, 2 * substeps)
-            if np.abs(fine - coarse).max() <= tolerance:
-                break
-            substeps, coarse = 2 * substeps, fine
-        return substeps
-
-
-_HEADER = ("dt", "state_names", "state_units", "input_names", "input_units", "names", "pairs")
-_ARRAYS = (
-    "koopman_matrix", "generator", "W_", "B_", "condition_number", "residual_", "field_disagreement_", "substeps_",
-    "x_offset_", "x_scale_", "u_offset_", "u_scale_",
-)  # fmt: skip
-
-
-def load_model(path):
-    """Read a model that `KoopmanModel.save` has written; nothing in the file is executed.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is no model, is damaged, or is of a version that this release does not know.
-    """
-    path = _npz_path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist; fit a model and save it with model.save({str(path)!r}).")
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {key: file[key] for key in file.files}
-        header = json.loads(str(arrays.pop("header")))
-        if header["format"] != _FORMAT:
-            raise ValueError(f"its format is {header['format']!r}, this release reads {_FORMAT!r}")
-        dictionary = _unpack(header["dictionary"], "dictionary", arrays)
-        model = KoopmanModel(clone(dictionary), header["predictor"], field=header["field"])
-        model.dictionary_ = dictionary
-        model._restore(header, arrays)
-    except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} cannot be read as a model ({error}); save it again with KoopmanModel.save.") from error
-    return model
-
-
-def join(recordings):
-    """One recording of a recording, or of a sequence of recordings with the same channels and sampling time.
-
-    Raises
-    ------
-    ValueError
-        If they differ, or there are none.
-    """
-    if isinstance(recordings, Recording):
-        return recordings
-    try:
-        recordings = list(recordings)
-    except TypeError:
-        recordings = [recordings]
-    if not recordings or not all(isinstance(r, Recording) for r in recordings):
-        raise ValueError(f"recording is {type(recordings[0]).__name__ if recordings else 'empty'}; give a tras.Recording or a sequence of them.")
-    first = recordings[0]
-    for i, other in enumerate(recordings[1:], start=1):
-        for label in ("dt", "state_names", "input_names"):
-            if getattr(other, label) != getattr(first, label):
-                raise ValueError(f"recording {i} has {label} {getattr(other, label)} but the first has {getattr(first, label)}; make them alike.")
-    return first._with([x for r in recordings for x, _ in r], [u for r in recordings for _, u in r])
-
-
-def _pack(dictionary, place, arrays):
-    """A fitted dictionary as JSON holds it, its learnt arrays put into ``arrays`` under names that begin with ``place``."""
-    header = {"name": type(dictionary).__name__, "parameters": {}, "learnt": {}}
-    for key, value in dictionary.get_params(deep=False).items():
-        # What the parts, a Generator or an array of centres led to is among the learnt.
-        keep = value is None or isinstance(value, (bool, int, float, str)) or key in ("positions", "velocities", "shape")
-        header["parameters"][key] = value if keep else None
-    for key, value in vars(dictionary).items():
-        if key == "parts_":
-            header["parts"] = [_pack(part, f"{place}.{i}", arrays) for i, part in enumerate(value)]
-        elif key.endswith("_"):
-            arrays[f"{place}.{key}"] = value
-    return header
-
-
-def _unpack(header, place, arrays):
-    """The dictionary that `_pack` has packed; its arrays are taken out of ``arrays``."""
-    kind = getattr(tras, header["name"], None) if header["name"] in tras.__all__ else None
-    if not (isinstance(kind, type) and issubclass(kind, dictionaries.Dictionary)):
-        raise ValueError(f"its dictionary {header['name']!r} is not one of this release")
-    parts = [_unpack(part, f"{place}.{i}", arrays) for i, part in enumerate(header.get("parts", []))]
-    dictionary = kind(**(header["parameters"] | ({"parts": [clone(part) for part in parts]} if parts else {})))
-    if parts:
-        dictionary.parts_ = parts
-    for key in [key for key in arrays if key.rpartition(".")[0] == place]:
-        value = arrays.pop(key)
-        setattr(dictionary, key.rpartition(".")[2], value.item() if value.ndim == 0 else value)
-    return dictionary._restore()
-
-
-def _npz_path(path):
-    path = Path(path)
-    if path.suffix != ".npz":
-        raise ValueError(f"path {path} ends in {path.suffix!r}; models are stored with the ending .npz.")
-    return path
+    def _simulate_scaled(self, x, u):
+        """(runs, samples, n) from scaled first samples (runs, delays + 1, n) and inputs (runs, samples, m)."""
+        d = self.delays
+        parts = [x[:, ::-1].reshape(len(x), -1)] + ([u[:, :d][:, ::-1].reshape(len(u), -1)] if self._keeps_inputs else [])
+        z = np.concatenate(parts, axis=1)
+        # Only the first state matters; as a recording it would be checked for nothing.
+        start = Recording._of_arrays(np.repeat(z[:, None], 1, axis=1), u[:, d:], self.dt_)
+        states = self._predict_scaled(start)[:, : len(self.state_names_)]
+        return np.concatenate([x[:, :d], states.transpose(2, 0, 1)], axis=1)

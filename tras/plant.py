@@ -15,9 +15,11 @@ STATE_UNITS = ("rad", "rad/s", "rad", "rad/s")
 TORQUE_NAMES = ("u_phi", "u_psi")
 TORQUE_UNITS = ("N m", "N m")
 
-# With at most this angle turned in one step the integrator stays below 1e-9 over 6 s even when both rotors push at full
-# torque and yaw spins at 17 rad/s (measured against DOP853); ordinary runs never reach it at a step of 0.01 s.
-_TURN_PER_STEP = 0.05
+# The longest step is _STEP seconds at _SPEED rad/s and falls as speed**-_POWER, speed being what the rig could reach in _AHEAD
+# seconds: measured on random runs of 6 s up to 31 rad/s and 540 rad/s^2, the cheapest that keeps errors below 1e-9.
+# In ordinary runs 4 % of the samples take a second step.
+_STEP, _SPEED, _POWER, _AHEAD = 0.01, 1.5, 1.2, 0.1
+_FASTEST = 1e3  # rad/s: beyond it no rig, and no end to the steps
 
 
 @dataclass(frozen=True)
@@ -73,9 +75,7 @@ class PlantParameters:
             if value <= 0:
                 raise ValueError(f"{name} is {value}; an inertia must be positive.")
         for name in ("u_phi_limits", "u_psi_limits"):
-            low, high = getattr(self, name)
-            if not low < high:
-                raise ValueError(f"{name} is ({low}, {high}); give (lowest, highest) in N m.")
+            object.__setattr__(self, name, torque_limits(name, getattr(self, name)))
 
     @classmethod
     def from_masses(cls, *, m_m, m_t, m_cw, l_m, l_t, l_cw, J_x, J_z, C_phi, C_psi, K_psi, g=9.81, **limits):
@@ -124,6 +124,17 @@ class PlantParameters:
     def as_dict(self):
         """Name -> value, for provenance."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+def torque_limits(name, limits):
+    """``limits`` as two floats, or a sentence that says what is wrong with them."""
+    try:
+        low, high = map(float, limits)
+    except (TypeError, ValueError):
+        low = high = math.nan
+    if not (low < high and math.isfinite(high - low)):
+        raise ValueError(f"{name} is {limits!r}; give (lowest, highest), two finite torques in N m, the lower one first.")
+    return low, high
 
 
 def equations_of_motion(parameters, functions=np):
@@ -201,10 +212,13 @@ def rest_point(parameters, torques=(0.0, 0.0)):
     Raises
     ------
     ValueError
-        If ``u_phi`` exceeds what gravity can balance, or ``u_psi`` is not zero on a rig without a yaw spring.
+        If ``u_phi`` exceeds what gravity can balance, there is no gravity torque, or ``u_psi`` is not zero on a rig without a yaw
+        spring.
     """
-    u_phi, u_psi = map(float, torques)
+    u_phi, u_psi = _array("torques", torques, 2).tolist()
     gravity = math.hypot(parameters.G_c, parameters.G_s)
+    if gravity == 0:
+        raise ValueError("G_c and G_s are both 0, so no pitch angle is more at rest than another; give the rig a gravity torque.")
     if abs(u_phi) > gravity:
         raise ValueError(f"u_phi = {u_phi} N m has no rest point: gravity balances at most {gravity:.6g} N m.")
     if parameters.K_psi == 0 and u_psi != 0:
@@ -235,7 +249,8 @@ def simulate_plant(x0, torques, dt, parameters, *, step=0.01):
     Raises
     ------
     ValueError
-        On wrong shapes, non-finite values, or a ``dt`` or ``step`` that is not positive.
+        On wrong shapes, non-finite values, a ``dt`` or ``step`` that is not positive, or torques that make the rig faster than
+        1000 rad/s.
 
     Examples
     --------
@@ -253,8 +268,9 @@ def simulate_plant(x0, torques, dt, parameters, *, step=0.01):
     if not batch:  # one run: plain floats are ten times as fast as arrays of one
         x, held = x.tolist(), held.tolist()
     states = [x]
-    for u in held[:-1]:
-        states.append(advance(states[-1], u))
+    with np.errstate(over="ignore", invalid="ignore"):  # `advance` says so itself
+        for u in held[:-1]:
+            states.append(advance(states[-1], u))
     return np.moveaxis(np.array(states), (0, 1), (-2, -1))
 
 
@@ -262,7 +278,12 @@ def stepper(parameters, dt, *, step=0.01, functions=math):
     """The flow over one sample as ``advance((phi, phidot, psi, psidot), (u_phi, u_psi)) -> tuple``, torques held.
 
     Butcher's explicit Runge-Kutta method of order 6 with seven stages (J. C. Butcher, J. Austral. Math. Soc. 4, 1964,
-    p. 192), in equal steps of at most ``step`` seconds, shorter while the rig turns by more than 0.05 rad in one.
+    p. 192), in steps of at most ``step`` seconds. Where the rig is faster than 1.5 rad/s they become shorter, chosen anew at each
+    step from the speed that 0.1 s of the present acceleration leads to: 0.01 s at 1.5 rad/s, 1 ms at 10 rad/s, 0.45 ms at 20 rad/s.
+
+    With TRAS-A, torques within its limits, any ``dt`` and ``step`` up to 0.01 s the error over 6 s is at most 1e-9 (rad, rad/s):
+    measured on 480 random motions with rates of up to 10 rad/s at the start. On five of them, which tumble or magnify every
+    disturbance thousands of times, DOP853 at rtol 1e-12 is the less exact one and up to 5e-8 away.
 
     Parameters
     ----------
@@ -271,23 +292,38 @@ def stepper(parameters, dt, *, step=0.01, functions=math):
         Sampling time and longest step in s.
     functions : module
         ``math`` for floats, ``numpy`` for arrays of many rigs at once (then all take the steps of the fastest one).
+
+    Raises
+    ------
+    ValueError
+        If ``dt`` or ``step`` is not positive; by ``advance``, if the rig gets faster than 1000 rad/s or a number infinite.
     """
     for name, value in (("dt", dt), ("step", step)):
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"{name} is {value}; give a positive time in s.")
     accelerations = equations_of_motion(parameters, functions)
-    least = max(1, math.ceil(dt / step * (1 - 1e-12)))  # 0.1 / 0.01 is 10, not 11
-    turn_limit = least * _TURN_PER_STEP / dt  # rad/s
+    free = _SPEED * (_STEP / step) ** (1 / _POWER)  # rad/s: up to here `step` is short enough
 
     def advance(x, u):
         # p, w: pitch and its rate; q, v: yaw and its rate. w_i, v_i, k_i, l_i: rates and accelerations at stage i.
         p, w, q, v = x
         u_phi, u_psi = u
-        speed = max(abs(w), abs(v)) if functions is math else max(np.abs(w).max(), np.abs(v).max())
-        n = least if speed <= turn_limit else min(math.ceil(speed * dt / _TURN_PER_STEP), 1000 * least)
-        h = dt / n
-        for _ in range(n):
+        remaining, n = dt, 2
+        while n > 1:
             k1, l1 = accelerations(p, w, q, v, u_phi, u_psi)
+            if functions is math:
+                speed = max(abs(w), abs(v)) + _AHEAD * max(abs(k1), abs(l1))
+            else:
+                speed = _largest(w, v) + _AHEAD * _largest(k1, l1)
+            if not speed < _FASTEST:  # NaN too
+                raise ValueError(
+                    f"the simulation left the representable range: the rig turns at more than {_FASTEST:g} rad/s; "
+                    "reduce the torques or the initial rates."
+                )
+            longest = step if speed <= free else _STEP * (_SPEED / speed) ** _POWER
+            n = math.ceil(remaining / longest * (1 - 1e-12))  # 0.1 / 0.01 is 10, not 11
+            h = remaining / n
+            remaining -= h
             a = h / 3
             w2, v2 = w + a * k1, v + a * l1
             k2, l2 = accelerations(p + a * w, w2, q + a * v, v2, u_phi, u_psi)
@@ -328,6 +364,10 @@ def stepper(parameters, dt, *, step=0.01, functions=math):
         return p, w, q, v
 
     return advance
+
+
+def _largest(*arrays):
+    return max(float(np.abs(array).max()) for array in arrays)
 
 
 def _array(name, values, width):

@@ -1,5 +1,6 @@
 """`Recording`: measured or simulated trajectories with names, units and sampling time (paper, "Data collection")."""
 
+import json
 import math
 from pathlib import Path
 
@@ -7,11 +8,15 @@ import numpy as np
 
 from tras.files import replacing
 
-_FORMAT = "tras recording 1"
+_FORMAT = "tras recording 2"
+_RESERVED = ("trajectory", "time", "sample", "row_size")  # columns and dimensions of the table and the file
 
 
 class Recording:
     """Trajectories of one system, all with the same channels and sampling time; lengths may differ.
+
+    The numbers are copied once, here, and cannot be changed afterwards. A trajectory of a single sample is allowed (it has no
+    snapshot pair).
 
     Parameters
     ----------
@@ -22,17 +27,19 @@ class Recording:
     dt : float
         Sampling time in s.
     state_names, input_names : sequence of str, optional
-        Default ``x1, x2, ...`` and ``u1, u2, ...``.
+        Default ``x1, x2, ...`` and ``u1, u2, ...``. Not "trajectory", "time", "sample", "row_size", and without "/".
     state_units, input_units : sequence of str, optional
         Default: unknown, ``""``.
     attributes : dict, optional
-        Name -> number, string or sequence of numbers: what a reader needs to know about the origin.
+        Name -> what a reader needs to know about the origin: anything that JSON holds (None, bool, finite numbers, strings, lists
+        and dicts of them). Tuples and numpy's arrays and numbers become lists and numbers.
 
     Raises
     ------
     ValueError
-        On wrong shapes, unequal lengths of states and inputs, empty trajectories, NaN or infinity (with the place), names
-        that repeat or do not match in number, a sampling time that is not positive.
+        On wrong shapes, unequal lengths of states and inputs, empty trajectories, masked values, NaN or infinity (with the
+        place), names that repeat, are reserved or do not match in number, a sampling time that is not positive, attributes
+        that JSON cannot hold.
 
     Examples
     --------
@@ -47,9 +54,9 @@ class Recording:
     def __init__(
         self, states, inputs=None, dt=None, *, state_names=None, input_names=None, state_units=None, input_units=None, attributes=None
     ):
-        if dt is None or not (math.isfinite(dt) and dt > 0):
-            raise ValueError(f"dt is {dt}; give the sampling time in s, a positive number.")
-        self.dt = float(dt)
+        self.dt = _number(dt)
+        if not (math.isfinite(self.dt) and self.dt > 0):
+            raise ValueError(f"dt is {dt!r}; give the sampling time in s, a positive number.")
         self._states = _trajectories("states", states)
         if not self._states:
             raise ValueError("states holds no trajectory; give at least one.")
@@ -70,7 +77,14 @@ class Recording:
             raise ValueError(f"the name {sorted(shared)[0]!r} stands for a state and for an input; rename one.")
         for names, trajectories in ((self.state_names, self._states), (self.input_names, self._inputs)):
             _check_finite(names, trajectories)
-        self.attributes = dict(attributes or {})
+        self.attributes = _attributes(attributes or {})
+
+    @classmethod
+    def _of_arrays(cls, states, inputs, dt):
+        """A recording of sound arrays (trajectories, samples, channels), unchecked and unnamed."""
+        new = object.__new__(cls)
+        new.__dict__.update(_states=list(states), _inputs=list(inputs), dt=dt, attributes={})
+        return new
 
     @property
     def states(self):
@@ -147,12 +161,55 @@ class Recording:
         Raises
         ------
         ValueError
-            If ``samples`` is less than 2 or no trajectory is that long.
+            If ``samples`` is not a whole number, less than 2, or no trajectory is that long.
         """
+        samples = _whole("samples", samples)
         if samples < 2 or samples > self.lengths.max():
             raise ValueError(f"samples = {samples}; pieces need 2 to {self.lengths.max()} samples, the longest trajectory's length.")
         starts = [(x, u, k) for x, u in self for k in range(0, len(x) - samples + 1, samples - 1)]
         return self._with([x[k : k + samples] for x, _, k in starts], [u[k : k + samples] for _, u, k in starts])
+
+    def cut_all(self, samples):
+        """As `cut`, but nothing is lost: rests, and trajectories that are shorter, are kept with the length they have."""
+        samples = _whole("samples", samples)
+        if samples < 2:
+            raise ValueError(f"samples = {samples}; pieces need 2 samples or more.")
+        states, inputs = [], []
+        for x, u in self:
+            for k in range(0, max(len(x) - 1, 1), samples - 1):
+                states.append(x[k : k + samples])
+                inputs.append(u[k : k + samples])
+        return self._with(states, inputs)
+
+    def delayed(self, delays, *, inputs=False):
+        """The states of ``delays`` earlier samples, newest first, as states beside the present ones, and the earlier inputs if asked.
+
+        Trajectories become ``delays`` samples shorter. Names are ``phi[-1]``, ``phi[-2]``, ...
+
+        Raises
+        ------
+        ValueError
+            If a trajectory has not more than ``delays`` samples.
+        """
+        delays = _whole("delays", delays)
+        if delays < 0:
+            raise ValueError(f"delays = {delays}; give 0 or more.")
+        if delays == 0:
+            return self
+        if self.lengths.min() <= delays:
+            i = int(np.argmin(self.lengths))
+            raise ValueError(f"trajectory {i} has {self.lengths[i]} samples, too few for {delays} delays; leave it out or use fewer delays.")
+        past = range(1, delays + 1)
+        states, held = [], []
+        for x, u in self:
+            earlier = [x[delays - k : len(x) - k] for k in past] + ([u[delays - k : len(u) - k] for k in past] if inputs else [])
+            states.append(np.hstack([x[delays:], *earlier]))
+            held.append(u[delays:])
+        names, units = list(self.state_names), list(self.state_units)
+        for labels, marks in ((self.state_names, self.state_units), (self.input_names, self.input_units))[: 1 + inputs]:
+            names += [f"{label}[-{k}]" for k in past for label in labels]
+            units += list(marks) * delays
+        return self._with(states, held, state_names=names, state_units=units)
 
     def split(self, fraction, seed):
         """Two recordings: a random ``fraction`` of the trajectories, and the rest, each in the old order.
@@ -162,7 +219,8 @@ class Recording:
         ValueError
             If one of them would be empty.
         """
-        first = round(fraction * len(self))
+        share = _number(fraction)
+        first = round(share * len(self)) if math.isfinite(share) else 0
         if not 0 < first < len(self):
             raise ValueError(f"fraction = {fraction} of {len(self)} trajectories leaves one side empty; change it, or cut() first.")
         order = np.random.default_rng(seed).permutation(len(self))
@@ -181,7 +239,9 @@ class Recording:
     def to_xarray(self):
         """An ``xarray.Dataset``: one variable a channel along ``sample``, trajectories one behind the other.
 
-        ``row_size`` holds the number of samples of each trajectory (CF conventions, contiguous ragged array).
+        ``row_size`` holds the number of samples of each trajectory (CF conventions, contiguous ragged array). The global
+        attribute ``attributes`` holds all of this recording's attributes as JSON, from which `read` has them back exactly; those
+        that are single numbers or strings stand beside it under their own names, for ncdump and MATLAB.
         """
         import xarray
 
@@ -194,8 +254,15 @@ class Recording:
         for role, names, units in roles:
             for position, (name, unit) in enumerate(zip(names, units)):
                 variables[name] = ("sample", frame[name].to_numpy(), {"units": unit, "role": role, "position": position})
-        own = {"Conventions": "CF-1.11", "featureType": "trajectory", "format": _FORMAT, "sampling_time": self.dt}
-        return xarray.Dataset(variables, attrs={**{k: _plain(v) for k, v in self.attributes.items()}, **own})
+        attributes = _attributes(self.attributes)
+        own = {
+            "Conventions": "CF-1.11",
+            "featureType": "trajectory",
+            "format": _FORMAT,
+            "sampling_time": self.dt,
+            "attributes": json.dumps(attributes),
+        }
+        return xarray.Dataset(variables, attrs={**{k: _plain(v) for k, v in attributes.items() if _is_plain(k, v)}, **own})
 
     def write(self, path):
         """Write to ``path``, a NetCDF-4 file (.nc) that xarray, MATLAB's ncread and ncdump open. Same content, same bytes.
@@ -203,7 +270,7 @@ class Recording:
         Raises
         ------
         ValueError
-            If the suffix is not ``.nc``.
+            If the suffix is not ``.nc``, or an attribute set since is none that JSON can hold.
         """
         path = _netcdf_path(path)
         with replacing(path) as temporary:
@@ -246,7 +313,6 @@ class Recording:
             table = np.column_stack(columns) if columns else np.empty((ends[-1], 0))
             parts[role] = np.split(table, ends[:-1]), chosen, [dataset[name].attrs["units"] for name in chosen]
         (states, state_names, state_units), (inputs, input_names, input_units) = parts["state"], parts["input"]
-        own = ("Conventions", "featureType", "format", "sampling_time")
         return cls(
             states,
             inputs,
@@ -255,7 +321,7 @@ class Recording:
             input_names=input_names,
             state_units=state_units,
             input_units=input_units,
-            attributes={k: v.tolist() if isinstance(v, (np.ndarray, np.generic)) else v for k, v in dataset.attrs.items() if k not in own},
+            attributes=json.loads(dataset.attrs["attributes"]),
         )
 
     def _with(self, states, inputs, **labels):
@@ -266,6 +332,30 @@ class Recording:
         if not states:
             raise ValueError("no trajectory is left; choose at least one.")
         return new
+
+
+def join(recordings):
+    """One recording of a recording, or of a sequence of recordings with the same channels and sampling time.
+
+    Raises
+    ------
+    ValueError
+        If they differ, or there are none.
+    """
+    if isinstance(recordings, Recording):
+        return recordings
+    try:
+        recordings = list(recordings)
+    except TypeError:
+        recordings = [recordings]
+    if not recordings or not all(isinstance(r, Recording) for r in recordings):
+        raise ValueError(f"recording is {type(recordings[0]).__name__ if recordings else 'empty'}; give a tras.Recording or a sequence of them.")
+    first = recordings[0]
+    for i, other in enumerate(recordings[1:], start=1):
+        for label in ("dt", "state_names", "input_names"):
+            if getattr(other, label) != getattr(first, label):
+                raise ValueError(f"recording {i} has {label} {getattr(other, label)} but the first has {getattr(first, label)}; make them alike.")
+    return first._with([x for r in recordings for x, _ in r], [u for r in recordings for _, u in r])
 
 
 def versions():
@@ -280,30 +370,61 @@ def versions():
 
 
 def _trajectories(name, values):
-    """A list of float arrays (samples_i, channels)."""
+    """A list of float arrays (samples_i, channels), our own and read-only."""
+    if hasattr(values, "iloc"):
+        raise ValueError(f"{name} is a {type(values).__name__}; give a list of arrays (samples, channels), for one table [table.to_numpy()].")
     if isinstance(values, np.ndarray) and values.ndim == 2:
-        raise ValueError(f"{name} has shape {values.shape}; give (trajectories, samples, channels), for one trajectory a list of it.")
+        raise ValueError(_ONE_TOO_FEW.format(name, values.shape))
     try:
-        arrays = [np.asarray(value, dtype=float) for value in values]
+        values = list(values)
+        arrays = [_own(value) for value in values]
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{name} cannot be read as numbers ({error}); give arrays of shape (samples, channels).") from error
-    for i, array in enumerate(arrays):
+        raise ValueError(f"{name} cannot be read as numbers ({error}); give real numbers in arrays of shape (samples, channels).") from error
+    if arrays and all(array.ndim == 1 for array in arrays):
+        raise ValueError(_ONE_TOO_FEW.format(name, f"({len(arrays)}, {len(arrays[0])})"))
+    for i, (array, value) in enumerate(zip(arrays, values)):
         if array.ndim != 2:
             raise ValueError(f"{name}: trajectory {i} has shape {array.shape}; give (samples, channels).")
         if len(array) == 0:
             raise ValueError(f"{name}: trajectory {i} has no samples; leave it out.")
         if array.shape[1] != arrays[0].shape[1]:
             raise ValueError(f"{name}: trajectory {i} has {array.shape[1]} channels but the first has {arrays[0].shape[1]}.")
+        if np.ma.is_masked(value):
+            sample, channel = np.argwhere(np.ma.getmaskarray(value))[0]
+            raise ValueError(
+                f"{name}: trajectory {i} is missing (masked) at sample {sample} in column {channel}; repair it or cut the trajectory there."
+            )
     return arrays
+
+
+_ONE_TOO_FEW = "{} has shape {}; give (trajectories, samples, channels), for one trajectory a list of it."
+
+
+def _own(value):
+    array = np.asarray(value)
+    if array.dtype.kind not in "biufO":
+        raise TypeError(f"they are {array.dtype.name}")
+    array = np.array(array, dtype=float)
+    array.setflags(write=False)
+    return array
 
 
 def _labels(role, letter, trajectories, names, units):
     count = trajectories[0].shape[1]
+    for kind, labels in (("names", names), ("units", units)):
+        if isinstance(labels, str):
+            raise ValueError(f"{role}_{kind} is the string {labels!r}; give a list of strings, one a channel.")
     names = tuple(names) if names is not None else tuple(f"{letter}{i + 1}" for i in range(count))
     units = tuple(units) if units is not None else ("",) * count
     for kind, labels in (("names", names), ("units", units)):
         if len(labels) != count:
             raise ValueError(f"{role}_{kind} has {len(labels)} entries {labels} but there are {count} {role} channels.")
+        for label in labels:
+            if not isinstance(label, str):
+                raise ValueError(f"{role}_{kind} holds {label!r}; give strings.")
+    for name in names:
+        if not name or "/" in name or "\0" in name or name == "." or name in _RESERVED:
+            raise ValueError(f"{role}_names holds {name!r}; give names that are not empty, have no '/' and are none of {', '.join(_RESERVED)}.")
     if len(set(names)) != count:
         raise ValueError(f"{role}_names {names} repeat a name; every channel needs its own.")
     return names, units
@@ -333,11 +454,55 @@ def _columns(kind, names, wanted):
     return [names.index(name) for name in wanted]
 
 
+def _number(value):
+    """``value`` as a float; NaN if it is no number."""
+    try:
+        return math.nan if isinstance(value, (str, bytes, bool)) else float(value)
+    except (TypeError, ValueError):
+        return math.nan
+
+
+def _whole(name, value):
+    number = _number(value)
+    if not number.is_integer():
+        raise ValueError(f"{name} = {value!r}; give a whole number.")
+    return int(number)
+
+
+def _attributes(attributes):
+    """A copy of ``attributes`` as JSON holds them."""
+    if not hasattr(attributes, "items"):
+        raise ValueError(f"attributes is {attributes!r}; give a dict of name -> value.")
+    for key in attributes:
+        if not isinstance(key, str):
+            raise ValueError(f"attributes has the key {key!r}; give strings as keys.")
+    return {key: _as_json(key, value) for key, value in attributes.items()}
+
+
+def _as_json(key, value):
+    if isinstance(value, (np.generic, np.ndarray)):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_as_json(key, item) for item in value]
+    if isinstance(value, dict) and all(isinstance(name, str) for name in value):
+        return {name: _as_json(key, item) for name, item in value.items()}
+    if value is None or isinstance(value, (bool, str, int)) or (isinstance(value, float) and math.isfinite(value)):
+        return value
+    raise ValueError(
+        f"attribute {key!r} holds {value!r} ({type(value).__name__}), which JSON cannot hold; "
+        "give None, true or false, finite numbers, strings, or lists and dicts of them."
+    )
+
+
+def _is_plain(key, value):
+    """Whether a NetCDF attribute can hold it in a way that every reader understands."""
+    if isinstance(value, str):
+        return key.isidentifier() and value.isprintable() and value.isascii() and value != ""
+    return key.isidentifier() and (isinstance(value, float) or (isinstance(value, int) and abs(value) < 2**63))
+
+
 def _plain(value):
-    """``value`` as something that a NetCDF attribute can hold."""
-    if isinstance(value, (bool, np.bool_)):
-        return int(value)
-    return list(value) if isinstance(value, tuple) else value
+    return int(value) if isinstance(value, bool) else value
 
 
 def _netcdf_path(path):

@@ -16,49 +16,54 @@ from tras.files import replacing
 # No pandas at the top: printing the table is all that `make all` does when nothing has changed.
 
 PAPER_NRMSE = {"yaw": 4.0589, "pitch": 5.5889}  # percent, paper, Sec. III
-COLUMNS = [("reference", "gaussian"), ("reference", "linear"), ("torque", "gaussian"), ("torque", "linear")]
-HEADINGS = ["paper", "ours, input = reference", "linear, reference", "ours, input = torque", "linear, torque"]
+COLUMNS = {  # (input, model) -> heading
+    ("paper", "paper"): "paper",
+    ("reference", "gaussian"): "input = reference, paper's dictionary",
+    ("reference", "linear"): "reference, linear",
+    ("torque", "gaussian"): "input = torque, paper's dictionary",
+    ("torque", "linear"): "torque, linear",
+    ("torque", "mechanical"): "torque, mechanical",
+}
 _MISSING = "not given"
 BEGIN, END = "<!-- table: written by `make readme` -->", "<!-- end of table -->"
 _METRICS = {"nrmse": "NRMSE (%)", "enr": "Enr", "bfr": "BFR (%)", "condition": "condition number of the liftings"}
 
 
-def comparison(metrics, identification, window, free_run):
+def comparison(metrics, identification):
     """The numbers of the table: the metrics of both angles over the independent multisine recordings, and the conditioning.
 
     Parameters
     ----------
     metrics : pandas.DataFrame
-        As `tras.validation.score` gives it, with the columns ``input, model`` beside.
+        As `tras.validation.score` gives it, with the columns ``kind`` ("window" or "free run"), ``input, model`` beside.
     identification : pandas.DataFrame
         Columns ``input, model, condition``.
-    window, free_run : float
-        The two horizons in s.
 
     Returns
     -------
     pandas.DataFrame
-        Columns ``horizon, metric, angle, input, model, median, lowest, highest`` (over the recordings), ``windows, diverged``. The paper's
-        own numbers have the input ``paper``, the condition number of the liftings the horizon 0.
+        Columns ``kind, horizon, metric, angle, input, model, median, lowest, highest`` (over the recordings), ``windows, diverged``. The
+        paper's own numbers have the input ``paper``; the condition number of the liftings the kind ``fit``.
     """
     import pandas as pd
 
-    chosen = metrics[metrics["recording"].str.startswith("multisine")].set_index(["input", "model", "horizon", "angle"]).sort_index()
+    chosen = metrics[metrics["recording"].str.startswith("multisine")].set_index(["kind", "input", "model", "angle"]).sort_index()
     condition = identification.set_index(["input", "model"])["condition"]
+    sources = [source for source in COLUMNS if source[0] != "paper"]
     rows = []
-    for horizon, name in [(window, "nrmse"), (window, "enr"), (window, "bfr"), (free_run, "nrmse")]:
+    for kind, name in [("window", "nrmse"), ("window", "enr"), ("window", "bfr"), ("free run", "nrmse")]:
         for angle in ("yaw", "pitch"):
-            if name == "nrmse" and horizon == window:
+            for source in sources:
+                here = chosen.loc[[(kind, *source, angle)]]
+                v, horizon = here[name], here["horizon"].iloc[0]
+                rows.append((kind, horizon, name, angle, *source, v.median(), v.min(), v.max(), here["windows"].sum(), here["diverged"].sum()))
+            if kind == "window" and name == "nrmse":
                 value = PAPER_NRMSE[angle]
-                rows.append((horizon, name, angle, "paper", "paper", value, value, value, 0, 0))
-            for source in COLUMNS:
-                here = chosen.loc[[(*source, horizon, angle)]]
-                v = here[name]
-                rows.append((horizon, name, angle, *source, v.median(), v.min(), v.max(), here["windows"].sum(), here["diverged"].sum()))
-    for source in COLUMNS:
+                rows.append((kind, horizon, name, angle, "paper", "paper", value, value, value, 0, 0))
+    for source in sources:
         value = condition[source]
-        rows.append((0, "condition", "", *source, value, value, value, 0, 0))
-    columns = ["horizon", "metric", "angle", "input", "model", "median", "lowest", "highest", "windows", "diverged"]
+        rows.append(("fit", 0, "condition", "", *source, value, value, value, 0, 0))
+    columns = ["kind", "horizon", "metric", "angle", "input", "model", "median", "lowest", "highest", "windows", "diverged"]
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -101,16 +106,17 @@ def into_readme(readme, rows):
 
 def _cells(rows):
     """Rows of strings, the heading first."""
-    cells = [["", *HEADINGS]]
-    longest = max(row["horizon"] for row in rows)
-    for (horizon, metric, angle), group in itertools.groupby(rows, key=lambda row: (row["horizon"], row["metric"], row["angle"])):
-        kind = "free run" if horizon == longest else "windows"
-        label = f"{_METRICS[metric]}, {angle}, {horizon:g} s {kind}" if horizon else _METRICS[metric]
+    cells = [["", *COLUMNS.values()]]
+    kinds = {"window": "s windows", "free run": "s free run"}
+    for (kind, metric, angle), group in itertools.groupby(rows, key=lambda row: (row["kind"], row["metric"], row["angle"])):
         by_source = {(row["input"], row["model"]): row for row in group}
-        cells.append([label, *(_number(by_source.get(source)) for source in [("paper", "paper"), *COLUMNS])])
-    for horizon in sorted({row["horizon"] for row in rows} - {0}):
-        counts = {(row["input"], row["model"]): f"{row['diverged']} of {row['windows']}" for row in rows if row["horizon"] == horizon}
-        cells.append([f"diverged, {horizon:g} s", _MISSING, *(counts[source] for source in COLUMNS)])
+        horizon = next(iter(by_source.values()))["horizon"]
+        label = f"{_METRICS[metric]}, {angle}, {horizon:g} {kinds[kind]}" if kind in kinds else _METRICS[metric]
+        cells.append([label, *(_number(by_source.get(source)) for source in COLUMNS)])
+    for kind in kinds:
+        here = [row for row in rows if row["kind"] == kind]
+        counts = {(row["input"], row["model"]): f"{row['diverged']} of {row['windows']}" for row in here if row["input"] != "paper"}
+        cells.append([f"diverged, {here[0]['horizon']:g} {kinds[kind]}", *(counts.get(source, _MISSING) for source in COLUMNS)])
     return cells
 
 
@@ -123,7 +129,7 @@ def _number(row):
         return f"{row['median']:.1e}"
     if row["lowest"] == row["highest"]:
         return f"{row['median']:.5g}"
-    digits = 3 if row["highest"] < 1 else 2 if row["highest"] < 10 else 1
+    digits = max(1, 2 - math.floor(math.log10(row["highest"])))  # three significant ones in the largest
     return "{median:.{digits}f} ({lowest:.{digits}f} to {highest:.{digits}f})".format(**row, digits=digits)
 
 

@@ -1,10 +1,12 @@
 """Models against recordings that they have not seen: windows, horizons, counts of divergence (paper, "Model comparison")."""
 
+import contextlib
+
 import numpy as np
 import pandas as pd
 
 from tras import metrics
-from tras.model import join
+from tras.recording import join
 
 ANGLES = {"yaw": "psi", "pitch": "phi"}  # the order of the paper's table
 
@@ -25,18 +27,32 @@ def score(model, recordings, seconds):
     -------
     pandas.DataFrame
         Columns ``recording, horizon`` (s), ``angle, enr`` (fraction), ``bfr, nrmse`` (percent), ``windows, diverged``. Metrics are
-        over the windows that did not diverge, NaN if all did; ``diverged`` says how many were left out.
+        over the windows that did not diverge, NaN if all did; ``diverged`` says how many were left out. The range that NRMSE and
+        divergence refer to is that of all windows of the recording, so that losing windows does not change it.
+
+    Raises
+    ------
+    ValueError
+        If a recording is shorter than a window, lacks an angle, or an angle is constant; the sentence names it.
     """
-    windows = {name: recording.cut(round(seconds / recording.dt) + 1) for name, recording in recordings.items()}
+    windows = {}
+    for name, recording in recordings.items():
+        with _named(f"recording {name!r}"):
+            windows[name] = recording.cut(round(seconds / recording.dt) + 1)
     predicted = np.split(model.predict(join(windows.values())), np.cumsum([len(w) for w in windows.values()])[:-1])
     rows = []
     for (name, window), prediction in zip(windows.items(), predicted):
         true = window.states
-        lost = metrics.diverged(true, prediction)
+        span = np.ptp(true, axis=(0, 1))
+        with _named(f"recording {name!r}"):
+            lost = metrics.diverged(true, prediction, span=span)
         for angle, channel in ANGLES.items():
-            i = [window.state_names.index(channel)]
-            t, p = true[~lost][..., i], prediction[~lost][..., i]
-            values = {f.__name__: f(t, p)[0] if len(t) else np.nan for f in (metrics.enr, metrics.bfr, metrics.nrmse)}
+            with _named(f"recording {name!r}, {angle}"):
+                i = [_index(window, channel, span)]
+                t, p = true[~lost][..., i], prediction[~lost][..., i]
+                values = dict.fromkeys(("enr", "bfr", "nrmse"), np.nan)
+                if len(t):
+                    values = {"enr": metrics.enr(t, p)[0], "bfr": metrics.bfr(t, p)[0], "nrmse": metrics.nrmse(t, p, span=span[i])[0]}
             rows.append(
                 {"recording": name, "horizon": seconds, "angle": angle, **values, "windows": len(window), "diverged": int(lost.sum())}
             )
@@ -50,17 +66,19 @@ def error_growth(model, recording, seconds, *, every=1):
     -------
     pandas.DataFrame
         Columns ``time`` (s), ``angle, nrmse``; every ``every``-th sample, without the first, whose error is zero. Diverged windows
-        are left out.
+        are left out; NaN if all are. The range is that of all windows.
     """
     windows = recording.cut(round(seconds / recording.dt) + 1)
     true, predicted = windows.states, model.predict(windows)
-    kept = ~metrics.diverged(true, predicted)
+    span = np.ptp(true, axis=(0, 1))
+    kept = ~metrics.diverged(true, predicted, span=span)
     times = np.arange(every, true.shape[1], every)
     parts = []
     for angle, channel in ANGLES.items():
-        i = windows.state_names.index(channel)
+        with _named(angle):
+            i = _index(windows, channel, span)
         error = true[kept][:, times, i] - predicted[kept][:, times, i]
-        rms = 100 * np.sqrt(np.mean(error**2, axis=0)) / np.ptp(true[..., i])
+        rms = 100 * np.sqrt(np.mean(error**2, axis=0)) / span[i] if kept.any() else np.full(len(times), np.nan)
         parts.append(pd.DataFrame({"time": times * windows.dt, "angle": angle, "nrmse": rms}))
     return pd.concat(parts, ignore_index=True)
 
@@ -68,9 +86,12 @@ def error_growth(model, recording, seconds, *, every=1):
 def typical_window(model, recording, seconds):
     """Index of the window whose mean NRMSE of the two angles is the median one: neither the best picture nor the worst."""
     windows = recording.cut(round(seconds / recording.dt) + 1)
-    i = [windows.state_names.index(channel) for channel in ANGLES.values()]
+    i, span = [], np.ptp(windows.states, axis=(0, 1))
+    for angle, channel in ANGLES.items():
+        with _named(angle):
+            i.append(_index(windows, channel, span))
     true, predicted = windows.states[..., i], model.predict(windows)[..., i]
-    error = np.sqrt(np.mean((true - predicted) ** 2, axis=1)) / np.ptp(true, axis=(0, 1))
+    error = np.sqrt(np.mean((true - predicted) ** 2, axis=1)) / span[i]
     error = np.nan_to_num(error.mean(axis=1), nan=np.inf)
     return int(np.argsort(error, kind="stable")[(len(error) - 1) // 2])
 
@@ -99,3 +120,22 @@ def overlay(models, recording, seconds, index):
         for name, model in models.items():
             table[f"{channel}_{name}"] = model.predict(window)[0, :, i]
     return table
+
+
+@contextlib.contextmanager
+def _named(place):
+    """Errors inside say where: ``place`` stands before their sentence."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}") from error
+
+
+def _index(windows, channel, span):
+    """Number of the state ``channel``, which must be there and move."""
+    if channel not in windows.state_names:
+        raise ValueError(f"there is no state {channel!r}; there are {', '.join(windows.state_names)}.")
+    i = windows.state_names.index(channel)
+    if span[i] == 0:
+        raise ValueError(f"the truth {channel} is constant, so there is no range to relate the error to; use a recording in which it moves.")
+    return i

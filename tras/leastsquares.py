@@ -1,0 +1,439 @@
+"""Least squares over a stream of rows: QR-grade coefficients at the price of matrix products.
+
+The Gram matrix Psi^T Psi is as fast as linear algebra gets, but squares the condition number of Psi; a Householder QR does not,
+and takes several times as long. Here the rows are first written in a basis T in which they are nearly orthonormal,
+
+    B = Psi T,   T ~ R0^-1,   R0 the triangular factor of a sample of the rows,
+
+and the normal equations are formed in that basis, G = sum B^T B and C = sum B^T Y. G has a condition number of order 10, so
+squaring it costs nothing, and K = T G^-1 C. Preconditioning by the factor of a sample of the rows is the idea of V. Rokhlin and
+M. Tygert (PNAS 105, 2008, 13212), of Blendenpik (H. Avron, P. Maymounkov and S. Toledo, SIAM J. Sci. Comput. 32, 2010, 1217)
+and of E. N. Epperly, M. Meier and Y. Nakatsukasa (arXiv:2406.03468, 2024); a Cholesky factor in a nearly orthonormal basis is the
+second half of CholeskyQR2 (Y. Yamamoto et al., ETNA 44, 2015, 306; with a shift: T. Fukaya et al., SIAM J. Sci. Comput. 42, 2020,
+A477). If later rows leave the span of the sample, G tells, and the basis is renewed with a Householder QR of the factor so far on
+top of the new rows, a step of sequential TSQR (J. Demmel et al., SIAM J. Sci. Comput. 34, 2012, A206).
+
+What is left is the rounding of B, where columns cancel. T is free to choose, so its entries are rounded to a coarse grid; the
+leading bits of Psi times T is then a sum of integers below 2^53, which floating point adds *exactly*, and only the trailing bits of
+Psi, 2^-10 or less of the whole, contribute rounding errors (error-free transformation: K. Ozaki et al., Numer. Algorithms 59,
+2012, 95). So coefficients are better than those of a Householder QR, by two to four digits where Psi is ill-conditioned.
+"""
+
+import math
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import blas, lapack, solve_triangular, svd
+
+_EPS = np.finfo(float).eps
+_WORST_GRAM = 1e5  # condition number of G (1-norm, equilibrated) beyond which the basis is renewed
+_LOST = 1e12  # ... beyond which G itself is too rounded to renew the basis from
+_RIDGE = 2.0**-36  # shortest direction of a basis, relative to the columns
+_GROWTH = 4.0  # G is examined again when its trace has grown by this factor
+
+
+class StreamingLeastSquares:
+    """``regressors @ coefficients = targets`` in the least-squares sense, from blocks of rows, each seen once.
+
+    Memory: about five matrices of the size of the coefficients and the workspace of one panel, whatever the number of rows.
+    The outcome depends on the order of the rows by rounding only. It is fastest and most accurate when the first panel is
+    typical of all rows: deal a recording out like cards (every k-th pair in one block), do not cut it into stretches of time.
+
+    Parameters
+    ----------
+    panel : int, optional
+        Rows that are worked on at once; default ``max(4096, 4 p)`` for p regressors. Fewer rows wait until a panel is full.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(0)
+    >>> solver = StreamingLeastSquares()
+    >>> for _ in range(5):
+    ...     a = rng.standard_normal((100, 2))
+    ...     _ = solver.update(a, a @ [[1.0], [2.0]])
+    >>> solver.solve().coefficients.round(12).ravel()
+    array([1., 2.])
+    """
+
+    def __init__(self, panel=None):
+        self.panel = panel
+        self.rows = 0
+        self._waiting = []
+        self._basis = None
+
+    def update(self, regressors, targets):
+        """Add rows (rows, p) with targets (rows, q); returns self."""
+        regressors, targets = _two_dimensional("regressors", regressors), _two_dimensional("targets", targets)
+        shapes = regressors.shape[1], targets.shape[1]
+        if len(regressors) != len(targets):
+            raise ValueError(f"regressors has {len(regressors)} rows but targets has {len(targets)}; give one for one.")
+        if self.rows == 0:
+            self._shapes = shapes
+        elif shapes != self._shapes:
+            raise ValueError(f"this block has (regressors, targets) {shapes}, earlier ones {self._shapes}; they must be alike.")
+        self.rows += len(regressors)
+        panel = self.panel or max(4096, 4 * shapes[0])
+        waiting = sum(len(x) for x, _ in self._waiting) + len(regressors)
+        full = waiting >= panel
+        self._waiting.append((regressors, targets) if full else (regressors.copy(), targets.copy()))
+        if full:
+            self._work_off(panel)
+        return self
+
+    def _work_off(self, panel):
+        """Absorb all waiting rows, in panels of equal size."""
+        parts, self._waiting = [part for part in self._waiting if len(part[0])], []
+        if not parts:
+            return
+        x, y = parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts))
+        pieces = max(1, len(x) // panel)
+        for k in range(pieces):
+            rows = slice(k * len(x) // pieces, (k + 1) * len(x) // pieces)
+            self._absorb(x[rows], y[rows])
+
+    def _absorb(self, x, y):
+        p, q = self._shapes
+        lengths, square = _sums_of_squares(x), _sums_of_squares(y)
+        if not (np.isfinite(lengths).all() and np.isfinite(square).all()):
+            raise ValueError("regressors or targets hold NaN, infinity or values too large to square; repair them first.")
+        if self._basis is None:
+            self._gram, self._cross = np.zeros((p, p)), np.zeros((p, q))
+            self._lengths, self._square = np.zeros(p), np.zeros(q)  # sums of squares of regressors and targets
+            self._examined = 0.0
+            scale = _powers_of_two(x)
+            self._basis = _Basis.of(_householder(x[:: max(1, len(x) // (8 * p))] / scale), scale)
+        b = self._basis.whiten(x)
+        gram = self._gram + b.T @ b
+        if not np.trace(gram) <= _GROWTH * self._examined:
+            condition = _condition(gram + self._basis.ridge_gram())
+            if condition > _WORST_GRAM:
+                self._renew_basis(x, gram if condition < _LOST else None)
+                b = self._basis.whiten(x)
+                gram = self._gram + b.T @ b
+            self._examined = np.trace(gram)
+        self._gram = gram
+        self._cross += b.T @ y
+        self._lengths += lengths
+        self._square += square
+
+    def _renew_basis(self, x, gram):
+        """A basis for all rows so far and those of ``x``: from ``gram``, which holds both, or by Householder QR."""
+        old = self._basis
+        scale = np.maximum(old.scale, _powers_of_two(x))
+        ratio = old.scale / scale
+        factor = old.factor(_cholesky(self._gram if gram is None else gram + old.ridge_gram())) * ratio
+        self._basis = _Basis.of(_householder(x / scale, factor) if gram is None else factor, scale)
+        # Rows B of the old basis are B S in the new one, S = T_old^-1 T_new.
+        inverse, rest = old.inverse()
+        S = self._basis.multiply(inverse * ratio) + (rest * ratio) @ self._basis.T
+        self._gram = S.T @ self._gram @ S
+        self._cross = S.T @ self._cross
+
+    def solve(self, names=None):
+        """Solution over all rows so far; rows may be added afterwards.
+
+        Parameters
+        ----------
+        names : sequence of str, optional
+            Names of the regressors, for messages.
+
+        Returns
+        -------
+        LeastSquares
+            Regularised solutions can be had of it even when its ``coefficients`` are not determined.
+
+        Raises
+        ------
+        ValueError
+            If there are no rows.
+        """
+        if self.rows == 0:
+            raise ValueError("there are no rows; call update(regressors, targets) first.")
+        self._work_off(self.rows)
+        L = _cholesky(self._gram)
+        basis = self._basis
+        rotated = solve_triangular(L, self._cross, trans="T", check_finite=False)  # Q^T targets
+        coefficients = basis.T @ solve_triangular(L, rotated, check_finite=False) / basis.scale[:, None]
+        return LeastSquares(coefficients, basis.factor(L) * basis.scale, rotated, self._lengths, self._square, self.rows, names)
+
+    def state(self):
+        """All that is known of the rows, as a dict of plain arrays: store it with `numpy.savez`, continue with `from_state`."""
+        if self.rows == 0:
+            raise ValueError("there are no rows; call update(regressors, targets) first.")
+        self._work_off(self.rows)
+        basis = self._basis
+        return {
+            "rows": np.array(self.rows), "gram": self._gram, "cross": self._cross, "lengths": self._lengths,
+            "square": self._square, "examined": np.array(self._examined), "T": basis.T, "scale": basis.scale,
+            "bits": np.array(basis.bits), "ridge": basis.ridge,
+        }  # fmt: skip
+
+    @classmethod
+    def from_state(cls, state, panel=None):
+        """The solver whose `state` this was."""
+        self = cls(panel)
+        self.rows, self._examined = int(state["rows"]), float(state["examined"])
+        for key in ("gram", "cross", "lengths", "square"):
+            setattr(self, "_" + key, np.array(state[key], dtype=float))
+        self._shapes = self._cross.shape
+        self._basis = _Basis(np.asfortranarray(state["T"]), np.array(state["scale"]), int(state["bits"]), np.array(state["ridge"]))
+        return self
+
+
+class LeastSquares:
+    """The solution, how far to trust it, and its regularised relatives, which need no second look at the rows.
+
+    With D the norms of the columns of the regressors Psi, regularisation works on Psi D^-1, whose columns have length one: the
+    result does not depend on units. ``alpha`` and ``rcond`` are relative to that and do not depend on the number of rows.
+
+    Attributes
+    ----------
+    coefficients : (p, q) ndarray
+        Asking for them when the rows do not determine them is a ValueError (see `require_full_rank`); `truncated` and
+        `tikhonov` always work.
+    R : (p, p) ndarray
+        Upper triangular, R^T R = Psi^T Psi.
+    rotated : (p, q) ndarray
+        Q^T targets: R coefficients = rotated.
+    residual : (q,) ndarray
+        Root mean square of each target's residual. By Pythagoras, so not below 1e-8 of the target's own.
+    rows : int
+    rank : int
+        Numerical rank of Psi D^-1: its singular values above sqrt(rows) times the rounding unit, relative to the largest.
+    condition_number : float
+        Of Psi as given, in the 2-norm.
+    scaled_condition_number : float
+        Of Psi D^-1; this is the one that counts, because rounding errors do not feel the scale of columns.
+    """
+
+    def __init__(self, coefficients, R, rotated, lengths, square, rows, names=None):
+        self._coefficients, self.R, self.rotated, self.rows, self.names = coefficients, R, rotated, rows, names
+        self._least = np.maximum(square - _sums_of_squares(rotated), 0)  # squared norm of the residual
+        self._norms = np.where(lengths > 0, np.sqrt(lengths), 1.0)
+        self._singular = np.linalg.svd(R / self._norms, compute_uv=False)
+        self.rank = int(np.sum(self._singular > self._singular[0] * _smallest(rows)))
+
+    @property
+    def coefficients(self):
+        self.require_full_rank()
+        return self._coefficients
+
+    @property
+    def residual(self):
+        return np.sqrt(self._least / self.rows)
+
+    @property
+    def scaled_condition_number(self):
+        return _ratio(self._singular)
+
+    @cached_property
+    def condition_number(self):
+        return _ratio(np.linalg.svd(self.R, compute_uv=False))
+
+    @cached_property
+    def rounding_error(self):
+        """(q,) How far rounding of the regressors in their last bit alone moves the coefficients: standard deviation of the worst
+        coefficient of each target, relative to its largest. No algorithm is better than that; a QR decomposition is somewhat worse.
+
+        First-order perturbation of least squares (P.-A. Wedin, BIT 13, 1973, 217) under independent errors of the entries.
+        """
+        if self.rank < len(self.R):
+            return np.full(len(self._least), math.inf)
+        inverse = solve_triangular(self.R / self._norms, np.eye(len(self.R)), check_finite=False)
+        rough = np.linalg.norm(inverse, axis=1)[:, None]
+        scaled = self._coefficients * self._norms[:, None]
+        along = rough * np.linalg.norm(scaled, axis=0) / math.sqrt(self.rows)
+        across = np.linalg.norm(inverse @ inverse.T, axis=1)[:, None] * np.sqrt(self._least / self.rows)
+        error = _EPS / math.sqrt(12) * np.hypot(along, across) / self._norms[:, None]
+        largest = np.abs(self._coefficients).max(axis=0)
+        return error.max(axis=0) / np.where(largest > 0, largest, 1.0)
+
+    def require_full_rank(self):
+        """Self, if the coefficients are determined; else a ValueError that says which regressors depend on each other."""
+        p = len(self.R)
+        if self.rows < p:
+            raise ValueError(f"{self.rows} snapshot pairs cannot determine {p} functions; record at least {p} pairs or use a smaller dictionary.")
+        if self.rank < p:
+            shares = np.abs(self._svd[2][self.rank :]).max(axis=0)  # of each regressor in combinations that vanish
+            involved = sorted(j for j in np.argsort(-shares)[:3] if shares[j] > 0.1 * shares.max())
+            labels = ", ".join(f"number {j}" if self.names is None else self.names[j] for j in involved)
+            raise ValueError(
+                f"the dictionary's {p} functions are linearly dependent on this data (numerical rank {self.rank}; {labels} take part): "
+                "use fewer functions or a lower degree, record data that moves every channel independently, or ask for a truncated "
+                "or regularised solution."
+            )
+        return self
+
+    def truncated(self, rank=None, rcond=None):
+        """Coefficients and residual from the ``rank`` largest singular values, or those above ``rcond`` times the largest.
+
+        Without either: the numerical rank. The shortest solution (in D K) where regressors depend on each other.
+        """
+        U, s, Vt = self._svd
+        if rank is None:
+            rank = self.rank if rcond is None else int(np.sum(s > rcond * s[0]))
+        if not 0 <= rank <= self.rank:
+            raise ValueError(f"rank {rank} is asked for, but the data determine {self.rank} directions; give 0 to {self.rank}.")
+        return self._filtered(np.arange(len(s)) < rank)
+
+    def tikhonov(self, alpha):
+        """Coefficients and residual of ``min |Psi K - Y|^2 + alpha |D K|^2``, ``alpha >= 0``."""
+        if not alpha >= 0:
+            raise ValueError(f"alpha is {alpha}; give a number that is not negative.")
+        s = self._svd[1]
+        kept = np.arange(len(s)) < self.rank
+        return self._filtered(np.where(kept, s**2 / np.where(kept, s**2 + alpha, 1.0), 0.0))
+
+    def _filtered(self, factors):
+        U, s, Vt = self._svd
+        shares = factors * (s > 0) / np.where(s > 0, s, 1.0)
+        coefficients = (Vt.T * shares) @ self._turned / self._norms[:, None]
+        lost = ((1 - factors) ** 2) @ self._turned**2
+        return coefficients, np.sqrt((self._least + lost) / self.rows)
+
+    @cached_property
+    def _svd(self):
+        return svd(self.R / self._norms, check_finite=False)
+
+    @cached_property
+    def _turned(self):
+        return self._svd[0].T @ self.rotated
+
+
+def least_squares(blocks, names=None):
+    """Least squares over an iterable of blocks (regressors (rows, p), targets (rows, q)): a `LeastSquares` of full rank.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer rows than regressors, they are linearly dependent to working precision, or there is NaN or infinity.
+    """
+    solver = StreamingLeastSquares()
+    for regressors, targets in blocks:
+        solver.update(regressors, targets)
+    return solver.solve(names).require_full_rank()
+
+
+class _Basis:
+    """T upper triangular such that (Psi / scale) T is nearly orthonormal; ``bits`` leading bits of Psi are multiplied exactly."""
+
+    def __init__(self, T, scale, bits, ridge):
+        self.T, self.scale, self.bits, self.ridge = T, scale, bits, ridge
+        self._product = np.asfortranarray(T / scale[:, None])  # scales are powers of two: exact
+        self._shift = 1.5 * 2.0 ** (52 - bits) * scale
+
+    @classmethod
+    def of(cls, R, scale):
+        """From the triangular factor R of some rows of Psi / scale."""
+        p = len(R)
+        size = np.linalg.norm(R)
+        # Directions that the sample hardly contains get a length of 2^-36 instead of none, so that T stays bounded.
+        ridge = np.zeros(p)
+        if not lapack.dtrcon(R)[0] > _RIDGE:
+            norms = np.linalg.norm(R, axis=0)
+            ridge = _RIDGE * np.where(norms > 0, norms, 1.0)
+            R = _householder(np.diag(ridge), R)
+        T = lapack.dtrtri(R)[0]
+        # Grid for T: rounding moves the rows of B by a fraction of their size. All partial sums of (bits of Psi) T are
+        # then multiples of one unit below 2^53 units.
+        unit = 2.0 ** math.floor(math.log2(math.sqrt(12) / 8 / size)) if size > 0 else 1.0
+        largest = np.abs(T).sum(axis=0).max() / unit
+        bits = max(0, min(26, 53 - math.ceil(math.log2(largest) + 0.1)))
+        rounded = np.rint(T / unit) * unit
+        np.fill_diagonal(rounded, np.where(np.diag(rounded) == 0, np.diag(T), np.diag(rounded)))
+        return cls(np.asfortranarray(rounded), scale, bits, ridge)
+
+    def whiten(self, x):
+        """B = (Psi / scale) T for rows ``x`` of Psi."""
+        leading = np.add(x, self._shift, order="F")
+        leading -= self._shift
+        trailing = np.subtract(x, leading, order="F")
+        b = blas.dtrmm(1.0, self._product, leading, side=1, overwrite_b=1)
+        b += blas.dtrmm(1.0, self._product, trailing, side=1, overwrite_b=1)
+        return b
+
+    def multiply(self, x):
+        """``x T`` for an upper triangular matrix of any size, with the accuracy of `whiten`."""
+        size = _powers_of_two(x.T)[:, None]
+        return np.triu(self.whiten(x / size * self.scale) * size)
+
+    def inverse(self):
+        """T^-1 as a sum of two matrices, the second of the size of the first one's rounding errors (Newton's iteration)."""
+        inverse = lapack.dtrtri(self.T)[0]
+        for _ in range(2):
+            inverse = inverse + rest if _ else inverse
+            rest = (np.eye(len(inverse)) - self.multiply(inverse)) @ inverse
+        return inverse, rest
+
+    def ridge_gram(self):
+        """What rows ``diag(ridge)`` would add to G."""
+        rows = self.ridge[:, None] * self.T
+        return rows.T @ rows if self.ridge.any() else 0.0
+
+    def factor(self, L):
+        """R = L T^-1, upper triangular, with R^T R = (Psi / scale)^T (Psi / scale) when L^T L = G."""
+        return np.triu(blas.dtrsm(1.0, self.T, L, side=1))
+
+
+def _householder(x, R=None):
+    """Triangular factor of ``x``, or of ``R`` on top of ``x``, by LAPACK's panel-wise Householder QR."""
+    p = x.shape[1]
+    if R is None:
+        if len(x) < p:
+            x = np.vstack([x, np.zeros((p - len(x), p))])
+        return np.asfortranarray(np.triu(lapack.dgeqrt(min(32, p), np.asfortranarray(x), overwrite_a=1)[0][:p]))
+    return np.asfortranarray(np.triu(lapack.dtpqrt(0, min(32, p), np.asfortranarray(R), np.asfortranarray(x), overwrite_b=1)[0]))
+
+
+def _cholesky(gram):
+    """Upper triangular L with L^T L = gram, of the equilibrated matrix; shifted by rounding errors if it is not positive."""
+    diagonal = np.sqrt(np.diag(gram))
+    diagonal = np.where(diagonal > 0, diagonal, 1.0)
+    scaled = np.asfortranarray(gram / diagonal / diagonal[:, None])
+    shift = 0.0
+    while True:
+        L, info = lapack.dpotrf(scaled + shift * np.eye(len(scaled)), clean=1, overwrite_a=1)
+        if info == 0:
+            return L * diagonal
+        shift = 100 * shift or len(scaled) * _EPS
+
+
+def _condition(gram):
+    """Estimated condition number of the equilibrated matrix in the 1-norm; infinite if it is not positive definite."""
+    diagonal = np.diag(gram)
+    if not (diagonal > 0).all():
+        return math.inf
+    scale = 1 / np.sqrt(diagonal)
+    scaled = gram * scale * scale[:, None]
+    L, info = lapack.dpotrf(scaled)
+    if info:
+        return math.inf
+    reciprocal = lapack.dpocon(L, np.abs(scaled).sum(axis=0).max())[0]
+    return 1 / reciprocal if reciprocal > 0 else math.inf
+
+
+def _smallest(rows):
+    """Singular values below this fraction of the largest are rounding errors."""
+    return _EPS * math.sqrt(rows)
+
+
+def _powers_of_two(x):
+    """For each column a power of two above its largest entry; 1 for a column of zeros."""
+    largest = np.maximum(x.max(axis=0), -x.min(axis=0))
+    return np.ldexp(1.0, np.frexp(np.where(largest > 0, largest, 0.5))[1])
+
+
+def _sums_of_squares(x):
+    return np.einsum("ij,ij->j", x, x)
+
+
+def _ratio(singular):
+    return float(singular[0] / singular[-1]) if singular[-1] > 0 else math.inf
+
+
+def _two_dimensional(name, values):
+    values = np.asarray(values, dtype=float)
+    if values.ndim != 2:
+        raise ValueError(f"{name} has shape {values.shape}; give (rows, columns).")
+    return values

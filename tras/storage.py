@@ -1,0 +1,132 @@
+"""Models as files: plain arrays and a JSON header in one .npz; loading runs no code from the file."""
+
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+from sklearn.base import clone
+
+import tras
+from tras.dictionary import Dictionary
+from tras.files import replacing
+from tras.recording import versions
+from tras.rollout import Hull
+
+_FORMAT = "tras model 2"
+_HEADER = ("dt", "fitted_as", "state_names", "state_units", "input_names", "input_units", "names", "pairs", "rank", "strength")
+_ARRAYS = (
+    "koopman_matrix", "generator", "W_", "B_", "condition_number", "residual_", "field_disagreement_", "substeps_",
+    "x_offset_", "x_scale_", "u_offset_", "u_scale_", "outward_", "outward_step_", "log_residual_",
+)  # fmt: skip
+_HULL = ("centre", "axes", "low", "high")
+
+
+def save(model, path):
+    """See `tras.KoopmanModel.save`."""
+    arrays = {key: getattr(model, key) for key in _ARRAYS if hasattr(model, key)}
+    parameters = {key: value for key, value in model.get_params(deep=False).items() if key != "dictionary"}
+    header = {"format": _FORMAT, "versions": versions(), "parameters": parameters, **{key: getattr(model, key + "_") for key in _HEADER}}
+    if hasattr(model, "errors_"):
+        header["errors"] = [[float(key), float(value)] for key, value in model.errors_.items()]
+    if hasattr(model, "hull_"):
+        arrays |= {f"hull.{key}": getattr(model.hull_, key) for key in _HULL}
+        header["free"] = [int(i) for i in model.hull_.free]
+    header["dictionary"] = _pack(model.dictionary_, "dictionary", arrays)
+    with replacing(_npz_path(path)) as temporary:
+        np.savez(temporary, header=np.array(json.dumps(header)), **arrays)
+
+
+def load_model(path):
+    """Read a model that `KoopmanModel.save` has written; nothing in the file is executed.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is no model, is damaged, or is of a version that this release does not know.
+    """
+    path = _npz_path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist; fit a model and save it with model.save({str(path)!r}).")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {key: file[key] for key in file.files}
+        header = json.loads(str(arrays.pop("header")))
+        if header["format"] != _FORMAT:
+            raise ValueError(f"its format is {header['format']!r}, this release reads {_FORMAT!r}")
+        return _restore(header, arrays)
+    except (OSError, EOFError, KeyError, TypeError, AttributeError, IndexError, ValueError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} cannot be read as a model ({error}); save it again with KoopmanModel.save.") from error
+
+
+def _restore(header, arrays):
+    """The model that fit had made, from a file's header and arrays."""
+    dictionary = _unpack(header["dictionary"], "dictionary", arrays)
+    model = tras.KoopmanModel(clone(dictionary), **header["parameters"])
+    model.dictionary_ = dictionary
+    if "hull.centre" in arrays:
+        hull = object.__new__(Hull)
+        hull.__dict__.update({key: arrays.pop(f"hull.{key}") for key in _HULL}, free=header["free"])
+        model.hull_ = hull.settle()
+    if "errors" in header:
+        model.errors_ = dict(map(tuple, header["errors"]))
+    for key in _HEADER:
+        value = header[key]
+        setattr(model, key + "_", tuple(value) if isinstance(value, list) and key != "names" else value)
+    for key, value in arrays.items():
+        if key not in _ARRAYS:
+            raise ValueError(f"it holds {key!r}, which is no part of a model")
+        setattr(model, key, value.item() if value.ndim == 0 else value)
+    needed = {"koopman_matrix", "x_scale_", "x_offset_", "u_scale_", "u_offset_"}
+    needed |= {"vector_field": {"W_", "substeps_", "generator"}, "lifted_linear": {"B_"}}.get(model.predictor, set())
+    if not needed <= set(arrays):
+        raise ValueError(f"it lacks {sorted(needed - set(arrays))[0]!r}")
+    return model
+
+
+def _pack(dictionary, place, arrays):
+    """A fitted dictionary as JSON holds it, its learnt arrays put into ``arrays`` under names that begin with ``place``."""
+    name = type(dictionary).__name__
+    if getattr(tras, name, None) is not type(dictionary):
+        raise ValueError(f"dictionary {name!r} is not one of this package, so a file with it could not be read; keep the code that makes it.")
+    header = {"name": name, "parameters": {}}
+    for key, value in dictionary.get_params(deep=False).items():
+        if isinstance(value, np.generic):
+            value = value.item()
+        if key in ("positions", "velocities", "shape") and value is not None:
+            value = [int(i) for i in value]
+        # What the parts, a Generator or an array of centres led to is among the learnt.
+        header["parameters"][key] = value if value is None or isinstance(value, (bool, int, float, str, list)) and key != "parts" else None
+    for key, value in vars(dictionary).items():
+        if key == "parts_":
+            header["parts"] = [_pack(part, f"{place}.{i}", arrays) for i, part in enumerate(value)]
+        elif key.endswith("_"):
+            arrays[f"{place}.{key}"] = value
+    return header
+
+
+def _unpack(header, place, arrays):
+    """The dictionary that `_pack` has packed; its arrays are taken out of ``arrays``."""
+    kind = getattr(tras, header["name"], None) if header["name"] in tras.__all__ else None
+    if not (isinstance(kind, type) and issubclass(kind, Dictionary)):
+        raise ValueError(f"its dictionary {header['name']!r} is not one of this release")
+    parts = [_unpack(part, f"{place}.{i}", arrays) for i, part in enumerate(header.get("parts", []))]
+    dictionary = kind(**(header["parameters"] | ({"parts": [clone(part) for part in parts]} if parts else {})))
+    if parts:
+        dictionary.parts_ = parts
+    for key in [key for key in arrays if key.rpartition(".")[0] == place]:
+        value = arrays.pop(key)
+        setattr(dictionary, key.rpartition(".")[2], value.item() if value.ndim == 0 else value)
+    if hasattr(dictionary, "centres_") and None in (dictionary.seed, dictionary.centres):
+        dictionary.centres = dictionary.centres_  # drawn by a Generator, or given: fitted again, the model has the same ones
+        dictionary.seed = 0 if dictionary.seed is None else dictionary.seed
+    return dictionary._restore()
+
+
+def _npz_path(path):
+    path = Path(path)
+    if path.suffix != ".npz":
+        raise ValueError(f"path {path} ends in {path.suffix!r}; models are stored with the ending .npz.")
+    return path
