@@ -7,13 +7,21 @@ from pathlib import Path
 import numpy as np
 from sklearn.base import clone
 
-import tras
+from tras import dictionary as general
+from tras import mechanical, radial
 from tras.dictionary import Dictionary
 from tras.files import replacing
 from tras.recording import versions
 from tras.rollout import Hull
 
 _FORMAT = "tras model 2"
+# What a file may hold: the dictionaries of this release.
+_KINDS = {
+    name: kind
+    for module in (general, radial, mechanical)
+    for name, kind in vars(module).items()
+    if isinstance(kind, type) and issubclass(kind, Dictionary) and kind.__module__ == module.__name__ and kind is not Dictionary
+}
 _HEADER = ("dt", "fitted_as", "state_names", "state_units", "input_names", "input_units", "names", "pairs", "rank", "strength")
 _ARRAYS = (
     "koopman_matrix", "generator", "W_", "B_", "condition_number", "residual_", "field_disagreement_", "substeps_",
@@ -63,8 +71,10 @@ def load_model(path):
 
 def _restore(header, arrays):
     """The model that fit had made, from a file's header and arrays."""
+    from tras.model import KoopmanModel  # which imports this module
+
     dictionary = _unpack(header["dictionary"], "dictionary", arrays)
-    model = tras.KoopmanModel(clone(dictionary), **header["parameters"])
+    model = KoopmanModel(clone(dictionary), **header["parameters"])
     model.dictionary_ = dictionary
     if "hull.centre" in arrays:
         hull = object.__new__(Hull)
@@ -89,7 +99,7 @@ def _restore(header, arrays):
 def _pack(dictionary, place, arrays):
     """A fitted dictionary as JSON holds it, its learnt arrays put into ``arrays`` under names that begin with ``place``."""
     name = type(dictionary).__name__
-    if getattr(tras, name, None) is not type(dictionary):
+    if _KINDS.get(name) is not type(dictionary):
         raise ValueError(f"dictionary {name!r} is not one of this package, so a file with it could not be read; keep the code that makes it.")
     header = {"name": name, "parameters": {}}
     for key, value in dictionary.get_params(deep=False).items():
@@ -109,8 +119,8 @@ def _pack(dictionary, place, arrays):
 
 def _unpack(header, place, arrays):
     """The dictionary that `_pack` has packed; its arrays are taken out of ``arrays``."""
-    kind = getattr(tras, header["name"], None) if header["name"] in tras.__all__ else None
-    if not (isinstance(kind, type) and issubclass(kind, Dictionary)):
+    kind = _KINDS.get(header["name"])
+    if kind is None:
         raise ValueError(f"its dictionary {header['name']!r} is not one of this release")
     parts = [_unpack(part, f"{place}.{i}", arrays) for i, part in enumerate(header.get("parts", []))]
     dictionary = kind(**(header["parameters"] | ({"parts": [clone(part) for part in parts]} if parts else {})))
