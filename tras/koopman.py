@@ -99,8 +99,8 @@ def check_head(fit, head):
     singular = np.linalg.svd(fit.R[:head, :head] / np.linalg.norm(fit.R[:head, :head], axis=0), compute_uv=False)
     if singular[-1] <= singular[0] * 4 * np.finfo(float).eps * fit.rows**0.5:
         right = np.linalg.svd(fit.R[:head, :head] / np.linalg.norm(fit.R[:head, :head], axis=0))[2][-1]
-        names = [name for name, c in zip(fit.names, right) if abs(c) > 1e-6]
+        names = [name for name, c in zip(fit.names, right) if abs(c) > 1e-6 and name != "1"]
         raise ValueError(
             f"the channels {', '.join(names)} are linearly dependent over the whole recording: leave one out with recording.select(...), "
-            "or record data that move each by itself."
+            "use fewer delays, or record data that move each by itself."
         )

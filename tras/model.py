@@ -7,7 +7,7 @@ from scipy import linalg
 from sklearn.base import BaseEstimator, clone
 
 from tras import dictionary as dictionaries
-from tras import generator, koopman, metrics, rollout, storage
+from tras import generator, koopman, metrics, rollout, stability, storage
 from tras.leastsquares import StreamingLeastSquares
 from tras.recording import Recording, join
 from tras.regularization import METHODS, STRENGTHS, regularized
@@ -56,7 +56,8 @@ class KoopmanModel(BaseEstimator):
         meanwhile, are best; one-step errors would not show what runs away. Recordings of fewer than five trajectories are cut for it.
     extrapolation : {"linear", "functions"}
         Beyond the training data the functions of a dictionary are guesswork. ``"linear"`` keeps them at the data's edge and goes on
-        linearly and damped, so that predictions stay bounded (`tras.rollout.Hull`); ``"functions"`` trusts them.
+        linearly and damped, so that predictions stay bounded (`tras.rollout.Hull`; with `Mechanical`, whose functions of inputs and velocities
+        are sound anywhere, only in the positions); ``"functions"`` trusts them.
     stable : bool
         With ``lifted_linear``: keep the spectral radius of A at most one (`tras.stability`).
 
@@ -213,15 +214,13 @@ class KoopmanModel(BaseEstimator):
             self.koopman_matrix = np.eye(N) + D
         else:
             if self.stable:
-                from tras import stability
-
                 D = stability.stable_change(fit, D, n, m)
             inputs = np.arange(len(D)) - 1 - n
             of_inputs = (inputs >= 0) & (inputs < m)
             self.koopman_matrix, self.B_ = np.eye(N) + D[~of_inputs], np.ascontiguousarray(D[of_inputs].T)
         if hasattr(self, "hull_"):
             change = linalg.solve_triangular(fit.R[:head, :head], fit.rotated[:head, :head], check_finite=False)
-            self.outward_ = rollout.outward_rates(change, n, self.dt_)
+            self.outward_ = rollout.outward_rates(change, n, self.dt_, len(self.state_names_))
             self.outward_step_ = rollout.over_a_sample(self.outward_, self.dt_)
         if self.predictor == "vector_field":
             self._identify_field(scaled, fit.R)

@@ -112,17 +112,21 @@ class Hull:
         return z - self.axes @ beyond if beyond.any() else z
 
 
-def outward_rates(change, n, dt):
+def outward_rates(change, n, dt, newest):
     """S (n, n + m) in 1/s beyond the hull: the linear model's, shifted until its slowest mode decays as fast as its fastest one moves.
 
     Parameters
     ----------
     change : (1 + n + m, 1 + n + m) ndarray
         D = K - I of the linear model: constant, states, inputs. ``D / dt`` is good enough here for its logarithm.
+    newest : int
+        The first so many of the n states are the present ones. Delayed ones are shifted, not predicted; that they are far out tells the
+        present ones nothing here, or the shift could undo the damping.
     """
     S = change[1:, 1 : 1 + n].T / dt
-    eigenvalues = np.linalg.eigvals(S[:, :n])
-    S[:, :n] -= max(0.0, eigenvalues.real.max() + np.abs(eigenvalues).max()) * np.eye(n)
+    S[newest:], S[:, newest:n] = 0, 0
+    eigenvalues = np.linalg.eigvals(S[:newest, :newest])
+    S[:newest, :newest] -= max(0.0, eigenvalues.real.max() + np.abs(eigenvalues).max()) * np.eye(newest)
     return S
 
 

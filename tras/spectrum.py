@@ -90,7 +90,8 @@ def projection_error(model, recording):
     -------
     pandas.Series
         By function name: the root mean square of ``psi_j(y) - (K^T psi(x))_j`` over that of ``psi_j(y) - psi_j(x)``. Zero where the
-        dictionary is closed, one where K explains nothing; functions of the input alone do not change and have zero.
+        dictionary is closed, about one where K explains nothing, above it on fresh data that K misleads; functions of the input alone do not
+        change and have zero.
     """
     error = change = 0.0
     for before, after in _liftings(model, recording):
