@@ -59,7 +59,9 @@ def stable_least_squares(R, free, *, constant=True, radius=1.0, iterations=100):
     random numbers.
 
     A spectral radius of one bounds the powers of A, not the response to inputs: a mode at exactly one adds up whatever the constant and the
-    inputs feed it. With ``radius = 1 - dt / tau`` every mode forgets in about the time tau, and bounded inputs have a bounded response.
+    inputs feed it. With ``radius = 1 - dt / tau`` every mode forgets in about the time tau, and bounded inputs have a bounded response. Slower
+    modes than the training trajectories can show are guesses: with these at 5 s, sampled at 0.01 s, and torque inputs, radius 0.999 instead
+    of 1 brought the error of 500 s free runs from 30-420 % to 6-11 %. A lower cost, being a one-step error, did not.
 
     Parameters
     ----------
