@@ -1,5 +1,7 @@
 """K, its logarithm and the vector field against closed forms and extended precision."""
 
+import pickle
+
 import mpmath
 import numpy as np
 import pytest
@@ -174,6 +176,8 @@ def test_no_principal_logarithm_is_said_with_the_eigenvalue(K, eigenvalue):
     with pytest.raises(LogarithmError, match="closed negative real axis.*more data.*one_step") as caught:
         principal_logarithm(K)
     assert abs(caught.value.eigenvalue - eigenvalue) < 1e-12
+    again = pickle.loads(pickle.dumps(caught.value))  # as it travels from a worker process
+    assert str(again) == str(caught.value) and again.eigenvalue == caught.value.eigenvalue
 
 
 def test_dead_time_has_no_logarithm():

@@ -15,6 +15,10 @@ class LogarithmError(ValueError):
         super().__init__(message)
         self.eigenvalue = eigenvalue
 
+    def __reduce__(self):
+        """Both arguments, so that it comes back whole from another process."""
+        return type(self), (self.args[0], self.eigenvalue)
+
 
 def branch_distance(eigenvalues):
     """Distance of each eigenvalue from the closed negative real axis, where the principal logarithm does not exist."""

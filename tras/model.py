@@ -190,8 +190,9 @@ class KoopmanModel(BaseEstimator):
         self.errors_ = {}
         for strength in STRENGTHS:
             try:
-                self._solve(strength, scaled)
-                self.errors_[strength] = multi_step_error(self._predict_scaled(held), held, len(self.state_names_))
+                with np.errstate(over="ignore", invalid="ignore"):  # what runs away is counted, not warned of
+                    self._solve(strength, scaled)
+                    self.errors_[strength] = multi_step_error(self._predict_scaled(held), held, len(self.state_names_))
             except ValueError as error:  # no logarithm, or functions that depend on each other: a stronger one may do
                 self.errors_[strength], reason = math.inf, error
         best = min(self.errors_, key=self.errors_.get)
