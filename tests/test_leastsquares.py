@@ -13,6 +13,7 @@ from scipy import linalg
 import tras
 from tras import koopman
 from tras.leastsquares import StreamingLeastSquares, least_squares
+from tras.regularization import regularized
 
 
 # ------------------------------------------------------------------------------------------- the reference: double-double arithmetic
@@ -220,8 +221,8 @@ def test_dependent_columns_are_found_and_named(kind, units):
     if len(involved) <= 3:
         assert named == involved
     # A solution still exists, and it predicts as well as any.
-    shortest, residual = fit.truncated()
-    assert np.abs(X @ shortest - Y).max() <= 1e-12 * np.abs(Y).max() and residual[0] <= 1e-7 * np.abs(Y).max()
+    shortest = regularized("truncated", fit.R, fit.rotated, 1)(1e-10)
+    assert np.abs(X @ shortest - Y).max() <= 1e-12 * np.abs(Y).max()
 
 
 def test_fewer_rows_than_columns():
@@ -324,8 +325,6 @@ def test_nan_and_infinity_are_refused(bad, where):
         (lambda s: s.update(np.ones((5, 2)), np.ones((6, 1))), "regressors has 5 rows but targets has 6"),
         (lambda s: s.update(np.ones(5), np.ones((5, 1))), r"regressors has shape \(5,\); give .rows, columns."),
         (lambda s: s.update(np.ones((5, 2)), np.ones((5, 1))).update(np.ones((5, 3)), np.ones((5, 1))), "earlier ones .2, 1.; they must be alike"),
-        (lambda s: s.update(np.eye(3), np.eye(3)).solve().truncated(rank=4), "rank 4 is asked for, but the data determine 3"),
-        (lambda s: s.update(np.eye(3), np.eye(3)).solve().tikhonov(-1), "alpha is -1; give a number that is not negative"),
     ],
 )
 def test_mistakes_are_named(call, words):
@@ -348,31 +347,3 @@ def test_memory_does_not_grow_with_the_rows():
 
     peak(5000)  # what is imported or cached on first use does not count
     assert peak(200_000) <= 1.1 * peak(20_000)
-
-
-# -------------------------------------------------------------------------------------------------------------- regularised relatives
-
-
-@pytest.mark.parametrize("alpha", [0.0, 1e-12, 1e-6, 1e-2, 10.0])
-def test_tikhonov_against_the_stacked_least_squares(rows, alpha):
-    X, Y = rows
-    K, residual = least_squares([(X, Y)]).tikhonov(alpha)
-    lengths = np.linalg.norm(X, axis=0)
-    stacked = np.vstack([X, np.sqrt(alpha) * np.diag(lengths)])
-    dense = np.linalg.lstsq(stacked, np.vstack([Y, np.zeros((15, 4))]), rcond=None)[0]
-    assert columnwise(K, dense) <= 1e-11
-    assert np.allclose(residual, np.sqrt(np.mean((X @ dense - Y) ** 2, axis=0)), rtol=1e-9)
-
-
-@pytest.mark.parametrize("rank", [0, 1, 6, 14, 15])
-def test_truncated_against_the_dense_svd(rows, rank):
-    X, Y = rows
-    K, residual = least_squares([(X, Y)]).truncated(rank=rank)
-    lengths = np.linalg.norm(X, axis=0)
-    U, s, Vt = np.linalg.svd(X / lengths, full_matrices=False)
-    dense = Vt[:rank].T @ (U[:, :rank].T @ Y / s[:rank, None]) / lengths[:, None]
-    assert np.abs(K - dense).max() <= 1e-11 * max(np.abs(dense).max(), 1)
-    assert np.allclose(residual, np.sqrt(np.mean((X @ dense - Y) ** 2, axis=0)), rtol=1e-9)
-    if 0 < rank < 15:
-        between = np.sqrt(s[rank] * s[rank - 1]) / s[0]
-        assert np.array_equal(least_squares([(X, Y)]).truncated(rcond=between)[0], K)

@@ -261,3 +261,16 @@ def test_wrong_arguments_are_named(change, message):
     arguments = {"R": np.eye(4), "free": np.eye(4, 3)} | change
     with pytest.raises(ValueError, match=message):
         stable_least_squares(**arguments)
+
+
+@pytest.mark.parametrize("stable, radius", [(True, 1.0), (0.999, 0.999), (0.9, 0.9)])
+def test_a_model_keeps_the_radius_that_was_asked_for(stable, radius, experiment, tmp_path):
+    recording = experiment.select(inputs=["u_phi", "u_psi"])
+    model = tras.KoopmanModel(tras.Monomials(3), "lifted_linear", stable=stable, regularization=None).fit(recording)
+    free = tras.KoopmanModel(tras.Monomials(3), "lifted_linear", regularization=None).fit(recording)
+    others = np.sort(np.abs(model.eigenvalues))[::-1]
+    assert others[0] == pytest.approx(1, abs=1e-9)  # the constant's own
+    assert others[1] <= radius + 1e-9 and np.sort(np.abs(free.eigenvalues))[-1] > radius
+    assert f"at most {radius:g} was asked for" in model.report()
+    model.save(tmp_path / "model.npz")
+    assert tras.load_model(tmp_path / "model.npz").report() == model.report()

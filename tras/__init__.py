@@ -30,6 +30,12 @@ _ROOMS = {
     "ThinPlate": "radial",
     "Mechanical": "mechanical",
     "KoopmanModel": "model",
+    "add_noise": "noise",
+    "noise_level": "noise",
+    "smooth": "smoothing",
+    "refine": "refinement",
+    "lumped_parameters": "physics",
+    "parameter_intervals": "physics",
     "load_model": "storage",
     "metrics": "metrics",
 }

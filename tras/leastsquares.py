@@ -182,16 +182,14 @@ class StreamingLeastSquares:
 
 
 class LeastSquares:
-    """The solution, how far to trust it, and its regularised relatives, which need no second look at the rows.
+    """The solution and how far to trust it; from ``R`` and ``rotated`` follow its regularised relatives (`tras.regularization`).
 
-    With D the norms of the columns of the regressors Psi, regularisation works on Psi D^-1, whose columns have length one: the
-    result does not depend on units. ``alpha`` and ``rcond`` are relative to that and do not depend on the number of rows.
+    D, below, holds the norms of the columns of the regressors Psi: those of Psi D^-1 have length one, whatever the units.
 
     Attributes
     ----------
     coefficients : (p, q) ndarray
-        Asking for them when the rows do not determine them is a ValueError (see `require_full_rank`); `truncated` and
-        `tikhonov` always work.
+        Asking for them when the rows do not determine them is a ValueError (see `require_full_rank`).
     R : (p, p) ndarray
         Upper triangular, R^T R = Psi^T Psi.
     rotated : (p, q) ndarray
@@ -261,44 +259,13 @@ class LeastSquares:
             raise ValueError(
                 f"the dictionary's {p} functions are linearly dependent on this data (numerical rank {self.rank}; {labels} take part): "
                 "use fewer functions or a lower degree, record data that moves every channel independently, or ask for a truncated "
-                "or regularised solution."
+                "or regularised solution (regularization='truncated', strength=1e-8)."
             )
         return self
-
-    def truncated(self, rank=None, rcond=None):
-        """Coefficients and residual from the ``rank`` largest singular values, or those above ``rcond`` times the largest.
-
-        Without either: the numerical rank. The shortest solution (in D K) where regressors depend on each other.
-        """
-        U, s, Vt = self._svd
-        if rank is None:
-            rank = self.rank if rcond is None else int(np.sum(s > rcond * s[0]))
-        if not 0 <= rank <= self.rank:
-            raise ValueError(f"rank {rank} is asked for, but the data determine {self.rank} directions; give 0 to {self.rank}.")
-        return self._filtered(np.arange(len(s)) < rank)
-
-    def tikhonov(self, alpha):
-        """Coefficients and residual of ``min |Psi K - Y|^2 + alpha |D K|^2``, ``alpha >= 0``."""
-        if not alpha >= 0:
-            raise ValueError(f"alpha is {alpha}; give a number that is not negative.")
-        s = self._svd[1]
-        kept = np.arange(len(s)) < self.rank
-        return self._filtered(np.where(kept, s**2 / np.where(kept, s**2 + alpha, 1.0), 0.0))
-
-    def _filtered(self, factors):
-        U, s, Vt = self._svd
-        shares = factors * (s > 0) / np.where(s > 0, s, 1.0)
-        coefficients = (Vt.T * shares) @ self._turned / self._norms[:, None]
-        lost = ((1 - factors) ** 2) @ self._turned**2
-        return coefficients, np.sqrt((self._least + lost) / self.rows)
 
     @cached_property
     def _svd(self):
         return svd(self.R / self._norms, check_finite=False)
-
-    @cached_property
-    def _turned(self):
-        return self._svd[0].T @ self.rotated
 
 
 def least_squares(blocks, names=None):

@@ -7,7 +7,7 @@ from scipy import linalg
 from sklearn.base import BaseEstimator, clone
 
 from tras import dictionary as dictionaries
-from tras import generator, koopman, metrics, rollout, stability, storage
+from tras import generator, koopman, metrics, rollout, stability, storage, summary
 from tras.leastsquares import StreamingLeastSquares
 from tras.recording import Recording, join
 from tras.regularization import METHODS, STRENGTHS, regularized
@@ -19,6 +19,7 @@ OPTIONS = {
     "regularization": (*METHODS, None),
     "extrapolation": ("linear", "functions"),
 }
+
 
 class KoopmanModel(BaseEstimator):
     """A model identified by extended dynamic mode decomposition (EDMD).
@@ -58,8 +59,9 @@ class KoopmanModel(BaseEstimator):
         Beyond the training data the functions of a dictionary are guesswork. ``"linear"`` keeps them at the data's edge and goes on
         linearly and damped, so that predictions stay bounded (`tras.rollout.Hull`; with `Mechanical`, whose functions of inputs and velocities
         are sound anywhere, only in the positions); ``"functions"`` trusts them.
-    stable : bool
-        With ``lifted_linear``: keep the spectral radius of A at most one (`tras.stability`).
+    stable : bool or float
+        With ``lifted_linear``: keep the spectral radius of A at most one, or at most this number (`tras.stability`). A radius of one bounds the
+        powers of A; the response to bounded inputs is bounded below one only. ``1 - dt / tau`` makes every mode forget in about the time tau.
 
     Attributes
     ----------
@@ -202,6 +204,7 @@ class KoopmanModel(BaseEstimator):
 
     def _solve(self, strength, scaled):
         """Everything that follows from the rows so far: K, the generator, W, the slopes beyond the hull."""
+        vars(self).pop("refinement_", None)  # of a W that is replaced now (`tras.refine`)
         fit = self._solver.solve(self._regressor_names())
         head = len(fit.R) - self._tail
         koopman.check_head(fit, head)
@@ -215,7 +218,7 @@ class KoopmanModel(BaseEstimator):
             self.koopman_matrix = np.eye(N) + D
         else:
             if self.stable:
-                D = stability.stable_change(fit, D, n, m)
+                D = stability.stable_change(fit, D, n, m, radius=float(self.stable))
             inputs = np.arange(len(D)) - 1 - n
             of_inputs = (inputs >= 0) & (inputs < m)
             self.koopman_matrix, self.B_ = np.eye(N) + D[~of_inputs], np.ascontiguousarray(D[of_inputs].T)
@@ -341,38 +344,7 @@ class KoopmanModel(BaseEstimator):
             Best one that was not fitted.
         """
         self._fitted()
-        eigenvalues = self.eigenvalues
-        radius = np.abs(eigenvalues).max()
-        lines = [
-            f"{self.predictor} model of {len(self.state_names_)} states, {len(self.input_names_)} inputs at {self.dt_:g} s, {self.delays} delays",
-            f"dictionary {self.dictionary_}, N = {len(self.names_)} functions, {self.pairs_} snapshot pairs",
-            f"numerical rank {self.rank_}, condition number of the liftings {self.condition_number:.2e}",
-            f"regularization {self.regularization}, strength {self.strength_:g}"
-            + (f", chosen among {len(self.errors_)} by multi-step error" if hasattr(self, "errors_") else ""),
-            f"spectral radius of K {radius:.8f}: {'stable' if radius <= 1 + 1e-9 else 'the lifted system grows'}",
-        ]
-        if self.predictor == "vector_field":
-            distance = generator.branch_distance(eigenvalues).min()
-            lines += [
-                f"distance of the spectrum from the logarithm's branch cut {distance:.3g}; exp(log K) misses K by {self.log_residual_:.1e}, relative",
-                f"vector field by {self.field}, {self.substeps_} Runge-Kutta step(s) a sample",
-            ]
-        if hasattr(self, "field_disagreement_"):
-            apart = ", ".join(f"{name} {100 * d:.2g} %" for name, d in zip(self.state_names_, self.field_disagreement_))
-            lines.append(f"it differs from the field by coordinates by {apart} (root mean square)")
-        if hasattr(self, "hull_"):
-            lines.append("beyond the training data, plus a quarter, the model is linear and damped")
-        return "\n".join(lines + (self._report_on(self._same_channels(join(recording))) if recording is not None else []))
-
-    def _report_on(self, recording):
-        true, predicted = recording.states, self.predict(recording)
-        lost = metrics.diverged(true, predicted)
-        short = recording.cut(self.delays + 2)
-        one = metrics.nrmse(short.states[:, -1:], np.asarray(self.predict(short))[:, -1:])
-        kept = [i for i in range(len(recording)) if not lost[i]]
-        many = metrics.nrmse([true[i] for i in kept], [predicted[i] for i in kept]) if kept else np.full(len(one), np.nan)
-        both = ", ".join(f"{name} {a:.3g} and {b:.3g} %" for name, a, b in zip(self.state_names_, one, many))
-        return [f"one-step and multi-step NRMSE: {both}", f"diverged: {lost.sum()} of {len(lost)} trajectories"]
+        return summary.describe(self, None if recording is None else self._same_channels(join(recording)))
 
     def save(self, path):
         """Write to ``path`` (.npz: plain arrays and one JSON header, no pickle). Same model, same bytes."""
@@ -393,8 +365,10 @@ class KoopmanModel(BaseEstimator):
         number = isinstance(self.strength, (int, float)) and not isinstance(self.strength, bool)
         if self.strength != "auto" and not (number and 0 <= self.strength < math.inf):
             raise ValueError(f"strength is {self.strength!r}; give 'auto' or a number that is not negative.")
+        if not isinstance(self.stable, (bool, int, float)) or not 0 <= self.stable <= 1:
+            raise ValueError(f"stable is {self.stable!r}; give True, False, or a spectral radius between 0 and 1, for example 0.999.")
         if self.stable and self.predictor != "lifted_linear":
-            raise ValueError(f"stable=True needs predictor='lifted_linear', but it is {self.predictor!r}.")
+            raise ValueError(f"stable={self.stable!r} needs predictor='lifted_linear', but it is {self.predictor!r}.")
 
     def _remember(self, recording):
         """Names, units, sampling time and the scale of each channel: its middle and half-range."""

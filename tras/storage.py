@@ -25,7 +25,7 @@ _KINDS = {
 _HEADER = ("dt", "fitted_as", "state_names", "state_units", "input_names", "input_units", "names", "pairs", "rank", "strength")
 _ARRAYS = (
     "koopman_matrix", "generator", "W_", "B_", "condition_number", "residual_", "field_disagreement_", "substeps_",
-    "x_offset_", "x_scale_", "u_offset_", "u_scale_", "outward_", "outward_step_", "log_residual_",
+    "x_offset_", "x_scale_", "u_offset_", "u_scale_", "outward_", "outward_step_", "log_residual_", "refinement_",
 )  # fmt: skip
 _HULL = ("centre", "axes", "low", "high")
 

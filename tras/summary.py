@@ -1,0 +1,57 @@
+"""What a fit found, in words and numbers: the text of `KoopmanModel.report`."""
+
+import numpy as np
+
+from tras import generator, metrics
+
+
+def describe(model, recording=None):
+    """A few lines of text on a fitted model; with a recording in the model's channels, also how well it is predicted."""
+    return "\n".join([*_fit(model), *_dynamics(model), *(_prediction(model, recording) if recording is not None else [])])
+
+
+def _fit(model):
+    states, inputs = len(model.state_names_), len(model.input_names_)
+    chosen = f", chosen among {len(model.errors_)} by multi-step error" if hasattr(model, "errors_") else ""
+    return [
+        f"{model.predictor} model of {states} states, {inputs} inputs at {model.dt_:g} s, {model.delays} delays",
+        f"dictionary {model.dictionary_}, N = {len(model.names_)} functions, {model.pairs_} snapshot pairs",
+        f"numerical rank {model.rank_}, condition number of the liftings {model.condition_number:.2e}",
+        f"regularization {model.regularization}, strength {model.strength_:g}{chosen}",
+    ]
+
+
+def _dynamics(model):
+    eigenvalues = model.eigenvalues
+    radius = np.abs(eigenvalues).max()
+    lines = [f"spectral radius of K {radius:.8f}: {'stable' if radius <= 1 + 1e-9 else 'the lifted system grows'}"]
+    if model.stable:
+        others = np.delete(eigenvalues, np.argmin(np.abs(eigenvalues - 1)))
+        largest = np.abs(others).max(initial=0.0)
+        lines.append(f"without the constant's one the largest modulus is {largest:.8f}; at most {float(model.stable):g} was asked for")
+    if model.predictor == "vector_field":
+        distance = generator.branch_distance(eigenvalues).min()
+        lines += [
+            f"distance of the spectrum from the logarithm's branch cut {distance:.3g}; exp(log K) misses K by {model.log_residual_:.1e}, relative",
+            f"vector field by {model.field}, {model.substeps_} Runge-Kutta step(s) a sample",
+        ]
+    if hasattr(model, "field_disagreement_"):
+        apart = ", ".join(f"{name} {100 * d:.2g} %" for name, d in zip(model.state_names_, model.field_disagreement_))
+        lines.append(f"it differs from the field by coordinates by {apart} (root mean square)")
+    if hasattr(model, "refinement_"):
+        first, last = model.refinement_[[0, -1]]
+        lines.append(f"refined on whole trajectories: predictions miss the measurements by {last:.3g} times their noise, {first:.3g} before")
+    if hasattr(model, "hull_"):
+        lines.append("beyond the training data, plus a quarter, the model is linear and damped")
+    return lines
+
+
+def _prediction(model, recording):
+    true, predicted = recording.states, model.predict(recording)
+    lost = metrics.diverged(true, predicted)
+    short = recording.cut(model.delays + 2)
+    one = metrics.nrmse(short.states[:, -1:], np.asarray(model.predict(short))[:, -1:])
+    kept = [i for i in range(len(recording)) if not lost[i]]
+    many = metrics.nrmse([true[i] for i in kept], [predicted[i] for i in kept]) if kept else np.full(len(one), np.nan)
+    both = ", ".join(f"{name} {a:.3g} and {b:.3g} %" for name, a, b in zip(model.state_names_, one, many))
+    return [f"one-step and multi-step NRMSE: {both}", f"diverged: {lost.sum()} of {len(lost)} trajectories"]
