@@ -30,6 +30,8 @@ _ROOMS = {
     "ThinPlate": "radial",
     "Mechanical": "mechanical",
     "KoopmanModel": "model",
+    "choose": "search",
+    "candidates": "search",
     "add_noise": "noise",
     "noise_level": "noise",
     "smooth": "smoothing",
