@@ -44,15 +44,22 @@ MODELS := $(foreach input,reference torque,$(addprefix $(input)_,linear gaussian
   $(addprefix torque_,$(addprefix gaussian_seed,1 2 3) mechanical)
 DRAWN := fig1_rig fig2_method fig3_overlay excitation spectrum horizon
 
-STAGES := 01_data_generation 02_identification 03_validation 04_figures
+# The paper's own part is what `make paper` builds; the studies beyond it belong to `make all`. A study needs one name in STUDIES, one
+# list of outputs in STUDY_OUTPUTS and one line `$(eval $(call stage,...))` at the end.
+PAPER_STAGES := 01_data_generation 02_identification 03_validation 04_figures
+STUDIES :=
+STAGES := $(PAPER_STAGES) $(STUDIES)
 OUT_01 := $(addprefix $(DATA)/,train.nc validation_multisine.nc validation_steps.nc validation_chirp.nc)
 OUT_02 := $(addprefix $(DATA)/,held_out.nc identification.csv spectrum.csv $(MODELS:%=models/%.npz))
 OUT_03 := $(addprefix $(DATA)/,metrics.csv horizon.csv overlay.csv)
 OUT_04 := $(addprefix $(FIGURES)/,$(foreach kind,pdf svg png csv,$(DRAWN:%=%.$(kind))) table.csv)
 
+PAPER_OUTPUTS := $(OUT_01) $(OUT_02) $(OUT_03) $(OUT_04)
+STUDY_OUTPUTS :=
+
 STAMPS := $(STAGES:%=$(BUILD)/%.ipynb)
 KEYS := $(STAGES:%=$(BUILD)/%.key)
-OUTPUTS := $(OUT_01) $(OUT_02) $(OUT_03) $(OUT_04)
+OUTPUTS := $(PAPER_OUTPUTS) $(STUDY_OUTPUTS)
 # The stamp alone says that a stage is done. After a failure make would delete its outputs, the committed figures among them.
 .PRECIOUS: $(OUTPUTS)
 
@@ -63,7 +70,7 @@ LOCKED := $(shell { sha256sum environment.txt || shasum -a 256 environment.txt; 
 READY := .venv/.ready-$(LOCKED)
 PY := .venv/bin/python
 
-.PHONY: help setup all paper figures smoke test lab lock readme clean distclean FORCE
+.PHONY: help setup all stages paper figures smoke test lab lock readme clean distclean FORCE
 
 help: ## list the targets (this text)
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
@@ -71,20 +78,22 @@ help: ## list the targets (this text)
 
 setup: $(READY) ## create .venv from environment.txt (the other targets do it by themselves)
 
-all: paper ## everything: data, models, figures; prints the table
+all: stages ## everything: data, models, figures, further studies; prints the table
 	@$(PY) -m tras.tables $(FIGURES)/table.csv $(if $(filter paper,$(PROFILE)),--check README.md)
 
-paper: $(STAMPS) $(OUTPUTS) ## the paper's own figures and numbers
+stages: $(STAMPS) $(OUTPUTS)
+
+paper: $(PAPER_STAGES:%=$(BUILD)/%.ipynb) $(PAPER_OUTPUTS) ## the paper's own figures and numbers
 
 figures: $(BUILD)/04_figures.ipynb $(OUT_04) ## all figures, and what they need
 
 smoke: $(READY) ## the same stages, small, below build/smoke/
-	@$(MAKE) PROFILE=smoke paper
+	@$(MAKE) PROFILE=smoke stages
 
 test: $(READY) ## unit tests, then every notebook of the small profile rerun and compared
 	@status=0; \
 	MPLBACKEND=Agg $(PY) -m pytest || status=1; \
-	$(MAKE) PROFILE=smoke paper \
+	$(MAKE) PROFILE=smoke stages \
 	  && $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) || status=1; \
 	exit $$status
 
@@ -103,6 +112,7 @@ readme: $(READY) ## write the table into README.md
 clean: ## remove build/ and the generated data (figures/ stays: it is in git)
 	rm -rf build
 	rm -f $(filter data/%,$(OUTPUTS))
+	rm -rf data/cache
 	@rmdir data/models 2>/dev/null || true
 
 distclean: clean ## clean, and .venv too
