@@ -55,6 +55,43 @@ def test_energy_is_conserved_without_friction_and_torque(x0):
     assert np.ptp(energy) <= 1e-9 * (1 + np.abs(energy).max())
 
 
+@given(plants(), states, torques)
+def test_the_printed_term_breaks_the_energy_balance(plant, x, u):
+    """By exactly J/2 (psidot^2 - psi^2) phidot sin 2 phi; only the pitch acceleration differs."""
+    printed = tras.PrintedPlant(**plant.as_dict())
+    rate, correct = tras.vector_field(x, u, printed), tras.vector_field(x, u, plant)
+    phi, phidot, psi, psidot = x
+    gained = plant.J / 2 * (psidot**2 - psi**2) * phidot * math.sin(2 * phi)
+    size = 1 + np.abs([correct[1], rate[1]]).max() * plant.J_phi * abs(phidot)
+    assert plant.J_phi * phidot * (rate[1] - correct[1]) == pytest.approx(gained, rel=1e-9, abs=1e-12 * size)
+    assert np.array_equal(rate[[0, 2, 3]], correct[[0, 2, 3]])
+
+
+@pytest.mark.parametrize("kind, gains", [(tras.PlantParameters, False), (tras.PrintedPlant, True)])
+def test_the_printed_term_creates_energy_round_a_closed_path(kind, gains):
+    """Held by hand (u balances everything) along pitch up at yaw 0, yaw to 2, pitch down there, yaw back: the hand's work must be zero."""
+    plant = kind(C_phi=0, C_psi=0)
+    corners = np.array([[-0.8, 0.0], [0.8, 0.0], [0.8, 2.0], [-0.8, 2.0], [-0.8, 0.0]])
+    path = np.vstack([np.linspace(a, b, 2001) for a, b in zip(corners, corners[1:])])
+    path[:, 0] += 0.4  # not symmetric about phi = 0
+    x = np.zeros((len(path), 4))
+    x[:, [0, 2]] = path
+    force = tras.vector_field(x, np.zeros((len(x), 2)), plant)[:, [1, 3]]
+    force *= np.column_stack([np.full(len(x), plant.J_phi), plant.J * np.cos(x[:, 0]) ** 2 + plant.J_psi0])  # by the rig, at rest
+    work = np.sum((force[1:] + force[:-1]) / 2 * np.diff(path, axis=0))
+    expected = plant.J / 2 * 2.0**2 * (math.sin(1.2) ** 2 - math.sin(-0.4) ** 2) if gains else 0.0
+    assert work == pytest.approx(expected, abs=1e-7) and (work > 0.03) == gains
+
+
+def test_the_printed_plant_says_so_and_the_corrected_one_is_unchanged():
+    assert "velocity_term" not in tras.PlantParameters().as_dict()
+    assert tras.PrintedPlant().as_dict() == {**tras.PlantParameters().as_dict(), "velocity_term": "as_printed"}
+    reference = tras.multisine(20, 0.01, [1.0, 1.0], [0.5, 2.0], np.random.default_rng(0))
+    printed, correct = (tras.simulate_closed_loop(reference, 0.01, plant) for plant in (tras.PrintedPlant(), tras.PlantParameters()))
+    assert printed.attributes["plant_velocity_term"] == "as_printed" and "plant_velocity_term" not in correct.attributes
+    assert np.abs(printed.states - correct.states).max() > 0.01
+
+
 def test_equations_are_lagranges():
     """The very function that simulates, fed with sympy symbols, solves Lagrange's equations derived here from T and V."""
     t, u_phi, u_psi = sympy.symbols("t u_phi u_psi")
@@ -78,9 +115,10 @@ def test_equations_are_lagranges():
         assert sympy.simplify(residual) == 0
 
 
-@given(plants(), states, torques)
-def test_jacobian_matches_complex_step(plant, x, u):
+@given(plants(), states, torques, st.booleans())
+def test_jacobian_matches_complex_step(plant, x, u, printed):
     """The complex step has no cancellation: derivatives to working precision."""
+    plant = tras.PrintedPlant(**plant.as_dict()) if printed else plant
     A, B = tras.jacobian(x, u, plant)
     field = equations_of_motion(plant, np)
     exact = np.zeros((4, 6))

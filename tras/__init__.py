@@ -11,6 +11,7 @@ __version__ = "0.1.0"
 # Public name -> module that holds it. `tras/staleness.py` reads this table too: keep it a plain dict of strings.
 _ROOMS = {
     "PlantParameters": "plant",
+    "PrintedPlant": "plant",
     "vector_field": "plant",
     "jacobian": "plant",
     "rest_point": "plant",

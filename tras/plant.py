@@ -7,6 +7,7 @@ input is the pair of torques ``u = [u_phi, u_psi]`` in N m. The equations are th
 
 import math
 from dataclasses import dataclass, fields
+from typing import ClassVar
 
 import numpy as np
 
@@ -63,6 +64,9 @@ class PlantParameters:
     K_psi: float = 0.003
     u_phi_limits: tuple[float, float] = (-0.144, 0.207)
     u_psi_limits: tuple[float, float] = (-0.241, 0.140)
+
+    # No field: every plant but `PrintedPlant` has the corrected term, and its parameters are the eight above.
+    velocity_term: ClassVar[str] = "corrected"
 
     def __post_init__(self):
         for name in ("J", "J_psi0", "J_phi", "G_c", "G_s", "C_phi", "C_psi", "K_psi"):
@@ -126,6 +130,28 @@ class PlantParameters:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
+@dataclass(frozen=True)
+class PrintedPlant(PlantParameters):
+    """The rig with ``J psi^2 / 2 sin 2 phi`` in the pitch equation, as the paper prints it, in place of ``J psidot^2 / 2 sin 2 phi``.
+
+    Everything else is as in `PlantParameters`, and every function here takes it in its place. The printed term has the unit of a torque
+    times s^2 and is no physics: a pitch torque that depends on yaw, without its counterpart in the yaw equation, so a closed path can gain
+    energy, ``d(energy)/dt`` being off by ``J/2 (psidot^2 - psi^2) phidot sin 2 phi``. It is here to show that the repair is needed.
+
+    Examples
+    --------
+    >>> plant = PrintedPlant()
+    >>> float(vector_field([0.5, 0, 1, 0], [0, 0], plant)[1] - vector_field([0.5, 0, 1, 0], [0, 0], PlantParameters())[1])
+    -0.333
+    """
+
+    velocity_term: ClassVar[str] = "as_printed"
+
+    def as_dict(self):
+        """Name -> value, for provenance; says that the term is the printed one."""
+        return {**super().as_dict(), "velocity_term": self.velocity_term}
+
+
 def torque_limits(name, limits):
     """``limits`` as two floats, or a sentence that says what is wrong with them."""
     try:
@@ -166,7 +192,11 @@ def equations_of_motion(parameters, functions=np):
             (u_psi + 2 * coupling * phidot - C_psi * psidot - K_psi * psi) / (J * c * c + J_psi0),
         )
 
-    return accelerations
+    def as_printed(phi, phidot, psi, psidot, u_phi, u_psi):
+        pitch, yaw = accelerations(phi, phidot, psi, psidot, u_phi, u_psi)
+        return pitch + J * (psidot * psidot - psi * psi) * sin(phi) * cos(phi) / J_phi, yaw
+
+    return as_printed if getattr(p, "velocity_term", "corrected") == "as_printed" else accelerations
 
 
 def vector_field(x, u, parameters):
@@ -194,9 +224,11 @@ def jacobian(x, u, parameters):
     shape = np.broadcast_shapes(phi.shape, u_psi.shape)
     A, B = np.zeros((*shape, 4, 4)), np.zeros((*shape, 4, 2))
     A[..., 0, 1] = A[..., 2, 3] = 1
-    A[..., 1, 0] = (-p.J * psidot**2 * cos2 + p.G_c * s - p.G_s * c) / p.J_phi
+    printed = p.velocity_term == "as_printed"
+    squared = psi if printed else psidot
+    A[..., 1, 0] = (-p.J * squared**2 * cos2 + p.G_c * s - p.G_s * c) / p.J_phi
     A[..., 1, 1] = -p.C_phi / p.J_phi
-    A[..., 1, 3] = -p.J * psidot * sin2 / p.J_phi
+    A[..., 1, 2 if printed else 3] = -p.J * squared * sin2 / p.J_phi
     A[..., 3, 0] = (2 * p.J * psidot * phidot * cos2 + torque_psi * p.J * sin2 / J_psi) / J_psi
     A[..., 3, 1] = p.J * psidot * sin2 / J_psi
     A[..., 3, 2] = -p.K_psi / J_psi
