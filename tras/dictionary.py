@@ -61,10 +61,14 @@ class Dictionary(BaseEstimator):
 
     def lift_slopes(self, z):
         """The same as `jacobian`, for points in columns: (n + m, points) -> (N, n, points)."""
-        slopes = np.zeros((self._size, self.n_states_, z.shape[1]))
+        return self.lift_with_slopes(z)[1]
+
+    def lift_with_slopes(self, z):
+        """`lift` and `lift_slopes` of the same points at once: most slopes are made of the functions' values."""
+        psi, slopes = self.lift(z), np.zeros((self._size, self.n_states_, z.shape[1]))
         slopes[self.coordinates, np.arange(self.n_states_)] = 1
-        self._fill_slopes(slopes, self.lift(z), z)
-        return slopes
+        self._fill_slopes(slopes, psi, z)
+        return psi, slopes
 
     @property
     def names(self):

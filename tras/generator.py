@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 from scipy import linalg
+from scipy.linalg import blas
 
 from tras.koopman import snapshot_pairs
 
@@ -96,19 +97,21 @@ def field_by_least_squares(A, dictionary, recording, R):
         Triangular factor of Psi_x, `LeastSquares.R`.
     """
     N, n = len(A), dictionary.n_states_
-    H, B = np.zeros((n, n, N, N)), np.zeros((n, N))
-    block = max(256, 4_000_000 // (N * n))
-    for x, u, _ in snapshot_pairs(recording, block):
-        psi = dictionary(x, u).T
-        J = np.ascontiguousarray(np.moveaxis(dictionary.jacobian(x, u), 0, -1))  # (N, n, points)
-        q = linalg.solve_triangular(R, psi, trans="T", check_finite=False)
+    S, B = np.zeros((n, n, N, N)), np.zeros((n, N))
+    for x, u, _ in snapshot_pairs(recording, max(1024, 2**17 // N)):  # blocks that stay in the cache
+        psi, J = dictionary.lift_with_slopes(np.ascontiguousarray(np.hstack([x, u]).T))
+        q = blas.dtrsm(1.0, R, psi.T, side=1).T
         rate = A.T @ psi
+        B += np.stack([np.einsum("jp,jp->p", J[:, i], rate) for i in range(n)]) @ q.T
+        # With J_i the i-th column, J_i.J_k = (|J_i + J_k|^2 - |J_i|^2 - |J_k|^2) / 2: sums of squares cost half as much as products.
         for i in range(n):
-            B[i] += q @ np.einsum("jp,jp->p", J[:, i], rate)
             for k in range(i + 1):
-                H[i, k] += (q * np.einsum("jp,jp->p", J[:, i], J[:, k])) @ q.T
+                slope = J[:, i] if i == k else J[:, i] + J[:, k]
+                weighted = q * np.sqrt(np.einsum("jp,jp->p", slope, slope))
+                S[i, k] += weighted @ weighted.T
+    H = np.zeros((n, N, n, N))
     for i in range(n):
-        for k in range(i):
-            H[k, i] = H[i, k].T
-    V = linalg.solve(H.transpose(0, 2, 1, 3).reshape(n * N, n * N), B.ravel(), assume_a="pos").reshape(n, N)
+        for k in range(i + 1):
+            H[i, :, k] = H[k, :, i] = S[i, i] if i == k else (S[i, k] - S[i, i] - S[k, k]) / 2
+    V = linalg.solve(H.reshape(n * N, n * N), B.ravel(), assume_a="pos").reshape(n, N)
     return linalg.solve_triangular(R, V.T, check_finite=False).T
