@@ -71,7 +71,7 @@ def _read_notebook(notebook):
     return content
 
 
-def _parse_yaml(text, where):
+def parse_yaml(text, where):
     """YAML, with an error instead of silence when a key stands twice."""
     import yaml
 
@@ -108,7 +108,7 @@ def read_params(path, notebook):
     """
     path, notebook = Path(path), Path(notebook)
     try:
-        content = _parse_yaml(path.read_text(encoding="utf-8"), path)
+        content = parse_yaml(path.read_text(encoding="utf-8"), path)
     except OSError as error:
         raise ParameterError(f"the parameter file {path} cannot be read ({error.strerror}): check the path.") from None
     if content is None:
@@ -135,7 +135,7 @@ def parse_settings(settings):
         name, equals, value = setting.partition("=")
         if not equals or not name.isidentifier():
             raise ParameterError(f"--set {setting} is not understood: write --set name=value, without blanks around '='.")
-        values[name] = _parse_yaml(value, f"--set {setting}")
+        values[name] = parse_yaml(value, f"--set {setting}")
     return values
 
 
