@@ -63,8 +63,8 @@ def test_mistakes_name_recording_and_angle(experiment):
     still = tras.Recording(experiment.states[:1] * [1, 1, 0, 1], dt=0.01, state_names=experiment.state_names)
     pitch = experiment.select(states=["phi", "phidot"])
     for call, words in (
-        (lambda: validation.score(Late(), {"moving": experiment.select(inputs=[]), "still": still}, 5.0), "recording 'still', yaw: the truth psi is constant"),
-        (lambda: validation.score(Late(), {"half": pitch}, 5.0), "recording 'half', yaw: there is no state 'psi'; there are phi, phidot"),
+        (lambda: validation.score(Late(), {"moving": experiment.select(inputs=[]), "still": still}, 5.0), "recording 'still': yaw: the truth psi is constant"),
+        (lambda: validation.score(Late(), {"half": pitch}, 5.0), "recording 'half': yaw: there is no state 'psi'; there are phi, phidot"),
         (lambda: validation.score(Late(), {"short": experiment}, 50.0), "recording 'short': samples = 5001"),
         (lambda: validation.error_growth(Late(), still, 5.0), "yaw: the truth psi is constant"),
         (lambda: validation.typical_window(Late(), still, 5.0), "yaw: the truth psi is constant"),

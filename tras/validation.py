@@ -11,7 +11,7 @@ from tras.recording import join
 ANGLES = {"yaw": "psi", "pitch": "phi"}  # the order of the paper's table
 
 
-def score(model, recordings, seconds):
+def score(model, recordings, seconds, *, range_over="all"):
     """Metrics of both angles over windows of the given length, each predicted from its own true initial state.
 
     Parameters
@@ -22,6 +22,8 @@ def score(model, recordings, seconds):
         Each is cut into windows that share end points, and scored by itself. Channels as the model was fitted to.
     seconds : float
         Length of a window.
+    range_over : {"all", "trajectory"}
+        The range in NRMSE: of the whole recording, or of each window by itself (`tras.metrics.nrmse`).
 
     Returns
     -------
@@ -42,21 +44,34 @@ def score(model, recordings, seconds):
     predicted = np.split(model.predict(join(windows.values())), np.cumsum([len(w) for w in windows.values()])[:-1])
     rows = []
     for (name, window), prediction in zip(windows.items(), predicted):
-        true = window.states
-        span = np.ptp(true, axis=(0, 1))
         with _named(f"recording {name!r}"):
-            lost = metrics.diverged(true, prediction, span=span)
-        for angle, channel in ANGLES.items():
-            with _named(f"recording {name!r}, {angle}"):
-                i = [_index(window, channel, span)]
-                t, p = true[~lost][..., i], prediction[~lost][..., i]
-                values = dict.fromkeys(("enr", "bfr", "nrmse"), np.nan)
-                if len(t):
-                    values = {"enr": metrics.enr(t, p)[0], "bfr": metrics.bfr(t, p)[0], "nrmse": metrics.nrmse(t, p, span=span[i])[0]}
-            rows.append(
-                {"recording": name, "horizon": seconds, "angle": angle, **values, "windows": len(window), "diverged": int(lost.sum())}
-            )
+            judged = judge(window, prediction, range_over=range_over)
+        rows += [{"recording": name, "horizon": seconds, **row} for row in judged]
     return pd.DataFrame(rows)
+
+
+def judge(windows, predicted, *, range_over="all"):
+    """The metrics of both angles over windows of one recording and their predictions (windows, samples, n); see `score`.
+
+    Returns
+    -------
+    list of dict
+        One an angle: ``angle, enr, bfr, nrmse, windows, diverged``.
+    """
+    true = windows.states
+    span = np.ptp(true, axis=(0, 1))
+    lost = metrics.diverged(true, predicted, span=span)
+    rows = []
+    for angle, channel in ANGLES.items():
+        with _named(angle):
+            i = [_index(windows, channel, span)]
+            t, p = true[~lost][..., i], predicted[~lost][..., i]
+            values = dict.fromkeys(("enr", "bfr", "nrmse"), np.nan)
+            if len(t):
+                nrmse = metrics.nrmse(t, p, range_over=range_over, span=span[i] if range_over == "all" else None)
+                values = {"enr": metrics.enr(t, p)[0], "bfr": metrics.bfr(t, p)[0], "nrmse": nrmse[0]}
+        rows.append({"angle": angle, **values, "windows": len(windows), "diverged": int(lost.sum())})
+    return rows
 
 
 def error_growth(model, recording, seconds, *, every=1):
