@@ -105,9 +105,10 @@ lock: ## resolve environment.in anew into environment.txt (needs uv; UPGRADE=1 f
 	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url \
 	  --no-emit-find-links $(if $(UPGRADE),--upgrade) environment.in --output-file environment.txt
 
-readme: $(READY) ## write the table into README.md
+readme: $(READY) ## write the table into README.md, the errors into docs/paper.md
 	@$(MAKE) PROFILE=paper figures
 	@$(PY) -m tras.tables figures/table.csv --readme README.md
+	@$(PY) -m tras.errata docs/paper.md
 
 clean: ## remove build/ and the generated data (figures/ stays: it is in git)
 	rm -rf build

@@ -40,6 +40,20 @@ def replacing(path):
         temporary.unlink(missing_ok=True)
 
 
+def between(text, begin, end, new, name="the page"):
+    """``text`` with what stands between the lines ``begin`` and ``end`` replaced by ``new``.
+
+    Raises
+    ------
+    ValueError
+        If a marker is missing or stands twice.
+    """
+    if text.count(begin) != 1 or text.count(end) != 1:
+        raise ValueError(f"{name} must hold {begin!r} and {end!r} once each, around the place for the table; put them back.")
+    before, rest = text.split(begin)
+    return f"{before}{begin}\n{new}\n{end}{rest.split(end)[1]}"
+
+
 def project_root(start=None):
     """The folder of the project, looked for from the working folder upwards.
 

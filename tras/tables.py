@@ -11,7 +11,7 @@ import math
 import sys
 from pathlib import Path
 
-from tras.files import replacing
+from tras.files import between, replacing
 
 # No pandas at the top: printing the table is all that `make all` does when nothing has changed.
 
@@ -98,10 +98,7 @@ def into_readme(readme, rows):
     ValueError
         If a marker is missing.
     """
-    if readme.count(BEGIN) != 1 or readme.count(END) != 1:
-        raise ValueError(f"the README must hold {BEGIN!r} and {END!r} once each, around the place for the table; put them back.")
-    before, rest = readme.split(BEGIN)
-    return f"{before}{BEGIN}\n{markdown(rows)}\n{END}{rest.split(END)[1]}"
+    return between(readme, BEGIN, END, markdown(rows), "the README")
 
 
 def _cells(rows):
