@@ -132,11 +132,10 @@ def _ratios_to_linear(pairs):
 
     seeds = ["train_seed", "validation_seed"]
     rest = [name for name in effects.OPTIONS if name != "dictionary"]
-    linear = pairs[pairs["dictionary"] == "linear"].set_index([*rest, *seeds])[["yaw", "pitch"]]
-    others = pairs[pairs["dictionary"] != "linear"].join(linear, on=[*rest, *seeds], rsuffix="_linear")
-    for angle in ("yaw", "pitch"):
-        others[f"{angle}_ratio"] = others[angle] / others[f"{angle}_linear"]
-    others["ratio"] = others[["yaw_ratio", "pitch_ratio"]].max(axis=1, skipna=False)
+    linear = pairs[pairs["dictionary"] == "linear"].set_index([*rest, *seeds])[["yaw", "pitch"]].add_suffix("_linear")
+    others = pairs[pairs["dictionary"] != "linear"].join(linear, on=[*rest, *seeds])
+    ratios = [others[angle] / others[f"{angle}_linear"] for angle in ("yaw", "pitch")]
+    others = others.assign(ratio=np.maximum(*ratios))  # NaN if one is
     groups = others.groupby(list(effects.OPTIONS), sort=False)["ratio"]
     result = groups.agg(median="median", low="min", high="max", missing=lambda r: r.isna().sum()).reset_index()
     result["better"] = (result["median"] <= BETTER) & (result["high"] <= BETTER) & (result["missing"] == 0)
@@ -170,15 +169,14 @@ def starts(metrics):
 def few_data(length):
     """C8: share of stretches without a logarithm, short and long, by plain least squares."""
     plain = length[length["fit"] == "plain"]
-    shortest, longest = plain["ratio"] <= 2, plain["ratio"] == plain["ratio"].max()
+    most = plain["ratio"].max()
     parts, fails = [], {}
     for noise, part in plain.groupby("noise"):
-        short, long = part[shortest]["no_logarithm"].mean(), part[longest]["no_logarithm"].mean()
-        dependent = part[shortest]["dependent"].mean()
-        fails[noise] = (short, long)
+        few, many = part[part["ratio"] <= 2], part[part["ratio"] == most]
+        fails[noise] = short, long = few["no_logarithm"].mean(), many["no_logarithm"].mean()
         parts.append(
-            f"at {noise:g} % noise {100 * short:.0f} % of the stretches of at most 2 snapshot pairs a function have no logarithm ({100 * dependent:.0f} % no K, "
-            f"their functions being dependent), of those of {plain['ratio'].max():g} pairs {100 * long:.0f} %"
+            f"at {noise:g} % noise {100 * short:.0f} % of the stretches of at most 2 snapshot pairs a function have no logarithm ({100 * few['dependent'].mean():.0f} % no "
+            f"K, their functions being dependent), of those of {most:g} pairs {100 * long:.0f} %"
         )
     mended = [noise for noise, (short, long) in fails.items() if short > 0.05 and long < short / 2]
     verdict = REPRODUCED if 0 in mended else NAMED if mended else NOT
