@@ -214,3 +214,34 @@ def _hint(name, known):
     known = list(map(str, known))
     close = get_close_matches(str(name), known, 1)
     return f"did you mean {close[0]!r}?" if close else f"choose one of {', '.join(known) or 'none'}."
+
+
+BEGIN, END = "<!-- readings: written by `python -m tras.readings docs/paper.md` -->", "<!-- end of readings -->"
+
+
+def main(arguments=None):
+    """Command line: write `markdown` into a file between its two markers; returns the exit status."""
+    import argparse
+    import sys
+
+    from tras.files import replacing
+
+    parser = argparse.ArgumentParser(prog="python -m tras.readings", description="Write the table of readings into a document.")
+    parser.add_argument("document", type=Path)
+    path = parser.parse_args(arguments).document
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        print(f"{path} cannot be read ({error.strerror}): check the path.", file=sys.stderr)
+        return 2
+    if text.count(BEGIN) != 1 or text.count(END) != 1:
+        print(f"{path} must hold the lines {BEGIN} and {END} once each, round the place for the table: put them there.", file=sys.stderr)
+        return 2
+    before, rest = text.split(BEGIN)
+    with replacing(path) as temporary:
+        temporary.write_text(f"{before}{BEGIN}\n{markdown()}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
