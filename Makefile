@@ -47,15 +47,16 @@ DRAWN := fig1_rig fig2_method fig3_overlay excitation spectrum horizon
 # The paper's own part is what `make paper` builds; the studies beyond it belong to `make all`. A study needs one name in STUDIES, one
 # list of outputs in STUDY_OUTPUTS and one line `$(eval $(call stage,...))` at the end.
 PAPER_STAGES := 01_data_generation 02_identification 03_validation 04_figures
-STUDIES :=
+STUDIES := 06_readings
 STAGES := $(PAPER_STAGES) $(STUDIES)
 OUT_01 := $(addprefix $(DATA)/,train.nc validation_multisine.nc validation_steps.nc validation_chirp.nc)
 OUT_02 := $(addprefix $(DATA)/,held_out.nc identification.csv spectrum.csv $(MODELS:%=models/%.npz))
 OUT_03 := $(addprefix $(DATA)/,metrics.csv horizon.csv overlay.csv)
 OUT_04 := $(addprefix $(FIGURES)/,$(foreach kind,pdf svg png csv,$(DRAWN:%=%.$(kind))) table.csv)
+OUT_06 := $(DATA)/readings.csv $(foreach kind,pdf svg png csv,$(FIGURES)/readings_effects.$(kind) $(FIGURES)/readings_nearest.$(kind))
 
 PAPER_OUTPUTS := $(OUT_01) $(OUT_02) $(OUT_03) $(OUT_04)
-STUDY_OUTPUTS :=
+STUDY_OUTPUTS := $(OUT_06)
 
 STAMPS := $(STAGES:%=$(BUILD)/%.ipynb)
 KEYS := $(STAGES:%=$(BUILD)/%.key)
@@ -162,3 +163,4 @@ $(eval $(call stage,01_data_generation,$(OUT_01),))
 $(eval $(call stage,02_identification,$(OUT_02),01_data_generation))
 $(eval $(call stage,03_validation,$(OUT_03),01_data_generation 02_identification))
 $(eval $(call stage,04_figures,$(OUT_04),01_data_generation 02_identification 03_validation))
+$(eval $(call stage,06_readings,$(OUT_06),))

@@ -67,7 +67,7 @@ def write_arrays(path, **arrays):
 def read_arrays(path, say=None):
     """What `write_arrays` has stored: a dict; None if there is nothing, or nothing sound, which is said."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except FileNotFoundError:
         return None

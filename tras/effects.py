@@ -97,7 +97,12 @@ def nearest(table):
     return pd.concat(parts).sort_values("distance", kind="stable", ignore_index=True)
 
 
-def chance(ranking, within, rng, *, draws=2000):
+def departures(ranking, default):
+    """In how many options each row of `nearest` differs from the default reading: (rows,) int."""
+    return sum((ranking[option] != getattr(default, option)).astype(int) for option in (*OPTIONS, "angle_names")).to_numpy()
+
+
+def chance(ranking, within, rng, *, among=None, draws=2000):
     """Share of random pairs of numbers that have a reading as near as ``within``: how little it means that the paper's pair has one.
 
     Parameters
@@ -108,18 +113,21 @@ def chance(ranking, within, rng, *, draws=2000):
         A distance.
     rng : numpy.random.Generator
         Draws the pairs log-uniformly between the 5 % and 95 % quantiles of the readings' own yaw and pitch NRMSE.
+    among : (rows,) bool array_like, optional
+        The readings that may serve; default all.
     draws : int
 
     Returns
     -------
     float
     """
-    logs = np.log(ranking.loc[ranking["angle_names"] == "words", ["yaw", "pitch"]].to_numpy())
-    low, high = np.quantile(logs, [0.05, 0.95], axis=0)
-    random = rng.uniform(low, high, (draws, 2))
-    # Either naming may serve: a pair may also be taken the other way round.
-    nearest_one = [np.sqrt(np.mean((pairs[:, None] - logs) ** 2, axis=2)).min(axis=1) for pairs in (random, random[:, ::-1])]
-    return float(np.mean(np.minimum(*nearest_one) <= within))
+    logs, words = np.log(ranking[["yaw", "pitch"]].to_numpy()), (ranking["angle_names"] == "words").to_numpy()
+    random = rng.uniform(*np.quantile(logs, [0.05, 0.95], axis=0), (draws, 2))
+    among = np.ones(len(ranking), dtype=bool) if among is None else np.asarray(among)
+    hit = np.zeros(draws, dtype=bool)
+    for rows, pairs in ((words & among, random), (~words & among, random[:, ::-1])):  # by the symbols, a pair is the other way round
+        hit |= (np.sqrt(np.mean((pairs[:, None] - logs[rows]) ** 2, axis=2)) <= within).any(axis=1)
+    return float(hit.mean())
 
 
 def effects(table, default):

@@ -21,17 +21,21 @@ import pandas as pd
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
-import tras
+# Names one by one, never the package as a whole: the cache asks which modules these results depend on.
 from tras import cache, readings, stacked, validation
+from tras.closed_loop import REFERENCE_NAMES, simulate_closed_loop
 from tras.dictionary import Exponentials, Monomials
+from tras.excitation import multisine
 from tras.generator import LogarithmError
+from tras.model import KoopmanModel
+from tras.plant import STATE_NAMES, TORQUE_NAMES, PlantParameters, PrintedPlant
 from tras.radial import GaussianRBF
-from tras.recording import join
+from tras.recording import Recording, join
 
 MODEL = {"field": "least_squares", "regularization": None, "extrapolation": "functions"}  # as the paper does
-CHANNELS = {"reference": ("phi_ref", "psi_ref"), "torque": ("u_phi", "u_psi")}
+CHANNELS = {"reference": REFERENCE_NAMES, "torque": TORQUE_NAMES}
 STATES = {"four_states": (None, 0), "delayed_angles": (("phi", "psi"), 1)}  # channels, delays
-PLANTS = {"corrected": "PlantParameters", "as_printed": "PrintedPlant"}
+PLANTS = {"corrected": PlantParameters, "as_printed": PrintedPlant}
 FREQUENCY = {"rad/s": 1.0, "Hz": 2 * math.pi}  # factor to rad/s
 RANGES = {"validation_set": "all", "trajectory": "trajectory"}
 DRAWN = ("gaussian", "gaussian28")  # dictionaries with random centres
@@ -79,10 +83,18 @@ def dictionary(name, draw=0):
     return makers[name]()
 
 
-def points(study):
-    """All fits of the grid: a list of dicts with the options in `FIT`, ``train_seed`` and ``draw``."""
+def points(study, only=None):
+    """All fits of the grid, or those of some choices: a list of dicts with the options in `FIT`, ``train_seed`` and ``draw``.
+
+    ``only`` is a dict option -> choices, for example ``{"input": ["torque"]}``.
+    """
+    kept = {option: readings.choices(option) for option in FIT}
+    for option, some in (only or {}).items():
+        if option not in kept:
+            raise readings.ReadingError(f"only names {option!r}, which makes no other fit: choose among {', '.join(FIT)}.")
+        kept[option] = [getattr(readings.Readings(**{option: choice}), option) for choice in some]
     found = []
-    for combination in itertools.product(*(readings.choices(option) for option in FIT)):
+    for combination in itertools.product(*kept.values()):
         options = dict(zip(FIT, combination))
         for seed, draw in itertools.product(study.train_seeds, study.centre_draws if options["dictionary"] in DRAWN else study.centre_draws[:1]):
             found.append({**options, "train_seed": seed, "draw": draw})
@@ -96,8 +108,8 @@ def simulate(study, frequency_unit, velocity_term, seed):
     """One recording of the experiment under two readings, all channels."""
     band = [FREQUENCY[frequency_unit] * f for f in study.max_frequency]
     rng = np.random.default_rng(seed)
-    reference = tras.multisine(study.duration, study.sampling_time, band, study.peak, rng, max_correlation=study.max_correlation)
-    return tras.simulate_closed_loop(reference, study.sampling_time, getattr(tras, PLANTS[velocity_term])())
+    reference = multisine(study.duration, study.sampling_time, band, study.peak, rng, max_correlation=study.max_correlation)
+    return simulate_closed_loop(reference, study.sampling_time, PLANTS[velocity_term]())
 
 
 def training(study, recording, point):
@@ -108,16 +120,16 @@ def training(study, recording, point):
 
 def fit(point, recording):
     """The model of a point, from `training` data: (KoopmanModel, "model"), or (None, why there is none)."""
-    model = tras.KoopmanModel(dictionary(point["dictionary"], point["draw"]), "vector_field", STATES[point["state"]][1], **MODEL)
+    model = KoopmanModel(dictionary(point["dictionary"], point["draw"]), "vector_field", STATES[point["state"]][1], **MODEL)
     try:
         with np.errstate(all="ignore"):  # a fit that fails says so itself
             return model.fit(recording), "model"
     except LogarithmError:
         return None, "no model: logarithm"
-    except ValueError as error:
-        return None, "no model: dependent functions" if "linearly dependent" in str(error) else f"no model: {error}"
     except np.linalg.LinAlgError:
         return None, "no model: equation (18) is singular"
+    except ValueError as error:
+        return None, "no model: dependent functions" if "linearly dependent" in str(error) else f"no model: {error}"
 
 
 def judge_windows(study, model, recordings):
@@ -140,11 +152,11 @@ def judge_windows(study, model, recordings):
 
 
 def _rows(windows, prediction, **labels):
-    return [
-        {**labels, "nrmse_range": name, **{key: row[key] for key in ("angle", "nrmse", "windows", "diverged")}}
-        for name, range_over in RANGES.items()
-        for row in validation.judge(windows, prediction, range_over=range_over)
-    ]
+    judged = {}
+    for name, range_over in RANGES.items():  # of a single window both ranges are the same
+        judged[name] = validation.judge(windows, prediction, range_over=range_over) if len(windows) > 1 or not judged else [*judged.values()][0]
+    keys = ("angle", "nrmse", "windows", "diverged")
+    return [{**labels, "nrmse_range": name, **{key: row[key] for key in keys}} for name, rows in judged.items() for row in rows]
 
 
 # --------------------------------------------------------------------------------------------------- with the cache around
@@ -159,8 +171,8 @@ def _recording(folder, study, frequency_unit, velocity_term, seed):
         made = simulate(study, frequency_unit, velocity_term, seed)
         arrays = {"states": made.states, "inputs": made.inputs}
         cache.write_arrays(path, **arrays)
-    names = {"state_names": ("phi", "phidot", "psi", "psidot"), "input_names": CHANNELS["reference"] + CHANNELS["torque"]}
-    return tras.Recording(arrays["states"], arrays["inputs"], study.sampling_time, **names)
+    names = {"state_names": STATE_NAMES, "input_names": REFERENCE_NAMES + TORQUE_NAMES}
+    return Recording(arrays["states"], arrays["inputs"], study.sampling_time, **names)
 
 
 def _validation(folder, study, point):
@@ -211,14 +223,16 @@ def _run_freely(folder, study, some, found, path, options):
     return len(some)
 
 
-def run(study, folder, *, processes=2, progress=None):
-    """The whole grid.
+def run(study, folder, *, only=None, processes=2, progress=None):
+    """The whole grid, or a part of it.
 
     Parameters
     ----------
     study : Study
     folder : str or Path
         Of the cache. What is found there is not computed again.
+    only : dict, optional
+        As in `points`.
     processes : int
     progress : text stream, optional
         Where a progress bar goes, for example ``sys.stderr``; none without it.
@@ -232,7 +246,7 @@ def run(study, folder, *, processes=2, progress=None):
     counts : dict
         ``computed, cached``: points whose fit was computed, or found in the cache.
     """
-    folder, wanted = Path(folder), points(study)
+    folder, wanted = Path(folder), points(study, only)
     places = [_place_of_point(folder, study, point) for point in wanted]
     found = {_name(point): cache.read(*place) for point, place in zip(wanted, places)}
     missing = [point for point in wanted if found[_name(point)] is None]
