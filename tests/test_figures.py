@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import matplotlib
@@ -13,7 +14,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from tras import drawings, figures, rig
+from tras import drawings, figures, figures_readings, rig
 
 FIGURES = Path(__file__).parent.parent / "figures"
 
@@ -48,6 +49,8 @@ DATA_FIGURES = {
     "excitation": figures.excitation_figure,
     "spectrum": figures.spectrum_figure,
     "horizon": figures.horizon_figure,
+    "readings_effects": figures_readings.effects_figure,
+    "readings_nearest": partial(figures_readings.nearest_figure, within=0.25),
 }
 CASES = pytest.mark.parametrize("case", [rig_case, method_case, *(redrawn(draw, name) for name, draw in DATA_FIGURES.items())])
 

@@ -98,7 +98,7 @@ def field_by_least_squares(A, dictionary, recording, R):
     """
     N, n = len(A), dictionary.n_states_
     S, B = np.zeros((n, n, N, N)), np.zeros((n, N))
-    for x, u, _ in snapshot_pairs(recording, max(1024, 2**17 // N)):  # blocks that stay in the cache
+    for x, u, _ in snapshot_pairs(recording, max(1024, 2**15 // N)):  # blocks that stay in the cache
         psi, J = dictionary.lift_with_slopes(np.ascontiguousarray(np.hstack([x, u]).T))
         q = blas.dtrsm(1.0, R, psi.T, side=1).T
         rate = A.T @ psi
