@@ -43,20 +43,24 @@ endif
 MODELS := $(foreach input,reference torque,$(addprefix $(input)_,linear gaussian gaussian28 monomials2)) \
   $(addprefix torque_,$(addprefix gaussian_seed,1 2 3) mechanical)
 DRAWN := fig1_rig fig2_method fig3_overlay excitation spectrum horizon
+ROBUSTNESS := robustness_noise robustness_sampling robustness_length residuals projection_error parameters benchmark_systems
+ROBUSTNESS_DRAWN := robustness_noise robustness_length eigenfunctions parameters
 
 # The paper's own part is what `make paper` builds; the studies beyond it belong to `make all`. A study needs one name in STUDIES, one
 # list of outputs in STUDY_OUTPUTS and one line `$(eval $(call stage,...))` at the end.
 PAPER_STAGES := 01_data_generation 02_identification 03_validation 04_figures
-STUDIES := 06_readings
+STUDIES := 05_robustness 06_readings 08_claims
 STAGES := $(PAPER_STAGES) $(STUDIES)
 OUT_01 := $(addprefix $(DATA)/,train.nc validation_multisine.nc validation_steps.nc validation_chirp.nc)
 OUT_02 := $(addprefix $(DATA)/,held_out.nc identification.csv spectrum.csv $(MODELS:%=models/%.npz))
 OUT_03 := $(addprefix $(DATA)/,metrics.csv horizon.csv overlay.csv)
 OUT_04 := $(addprefix $(FIGURES)/,$(foreach kind,pdf svg png csv,$(DRAWN:%=%.$(kind))) table.csv)
+OUT_05 := $(ROBUSTNESS:%=$(DATA)/%.csv) $(addprefix $(FIGURES)/,$(foreach kind,pdf svg png csv,$(ROBUSTNESS_DRAWN:%=%.$(kind))))
 OUT_06 := $(DATA)/readings.csv $(foreach kind,pdf svg png csv,$(FIGURES)/readings_effects.$(kind) $(FIGURES)/readings_nearest.$(kind))
+OUT_08 := $(DATA)/claims.csv
 
 PAPER_OUTPUTS := $(OUT_01) $(OUT_02) $(OUT_03) $(OUT_04)
-STUDY_OUTPUTS := $(OUT_06)
+STUDY_OUTPUTS := $(OUT_05) $(OUT_06) $(OUT_08)
 
 STAMPS := $(STAGES:%=$(BUILD)/%.ipynb)
 KEYS := $(STAGES:%=$(BUILD)/%.key)
@@ -163,4 +167,6 @@ $(eval $(call stage,01_data_generation,$(OUT_01),))
 $(eval $(call stage,02_identification,$(OUT_02),01_data_generation))
 $(eval $(call stage,03_validation,$(OUT_03),01_data_generation 02_identification))
 $(eval $(call stage,04_figures,$(OUT_04),01_data_generation 02_identification 03_validation))
+$(eval $(call stage,05_robustness,$(OUT_05),01_data_generation))
 $(eval $(call stage,06_readings,$(OUT_06),))
+$(eval $(call stage,08_claims,$(OUT_08),02_identification 03_validation 05_robustness 06_readings))
