@@ -111,8 +111,9 @@ lock: ## resolve environment.in anew into environment.txt (needs uv; UPGRADE=1 f
 	  --no-emit-find-links $(if $(UPGRADE),--upgrade) environment.in --output-file environment.txt
 
 readme: $(READY) ## write the table into README.md, the errors into docs/paper.md
-	@$(MAKE) PROFILE=paper figures
+	@$(MAKE) PROFILE=paper stages
 	@$(PY) -m tras.tables figures/table.csv --readme README.md
+	@$(PY) -m tras.claims data/claims.csv --readme README.md
 	@$(PY) -m tras.errata docs/paper.md
 
 clean: ## remove build/ and the generated data (figures/ stays: it is in git)
