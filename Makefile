@@ -75,7 +75,7 @@ LOCKED := $(shell { sha256sum environment.txt || shasum -a 256 environment.txt; 
 READY := .venv/.ready-$(LOCKED)
 PY := .venv/bin/python
 
-.PHONY: help setup all stages paper figures smoke test lab lock readme clean distclean FORCE
+.PHONY: help setup all stages paper figures smoke test verify bless lab lock readme clean distclean FORCE
 
 help: ## list the targets (this text)
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
@@ -110,6 +110,20 @@ lock: ## resolve environment.in anew into environment.txt (needs uv; UPGRADE=1 f
 	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url \
 	  --no-emit-find-links $(if $(UPGRADE),--upgrade) environment.in --output-file environment.txt
 
+ifeq ($(PROFILE),paper)
+verify: reference/SHA256SUMS $(STAMPS) $(OUTPUTS) ## compare data, models and figures with reference/: bytes, numbers, looks
+	@$(PY) -m tras.verification $(OUTPUTS)
+
+reference/SHA256SUMS: # said before anything is built
+	@echo "$@ does not exist, so there is nothing to compare with: git checkout reference, or make bless to take this machine's results." >&2; exit 2
+
+bless: $(STAMPS) $(OUTPUTS) ## take them as the new reference/ (nothing else writes there)
+	@$(PY) -m tras.verification --bless $(OUTPUTS)
+else
+verify bless:
+	@echo "make $@ is for PROFILE=paper, whose numbers reference/ holds; for PROFILE=$(PROFILE) there is no reference." >&2; exit 2
+endif
+
 readme: $(READY) ## write the table into README.md, the errors into docs/paper.md
 	@$(MAKE) PROFILE=paper stages
 	@$(PY) -m tras.tables figures/table.csv --readme README.md
@@ -120,6 +134,7 @@ clean: ## remove build/ and the generated data (figures/ stays: it is in git)
 	rm -rf build
 	rm -f $(filter data/%,$(OUTPUTS))
 	rm -rf data/cache
+	rm -rf $(addsuffix provenance,$(sort $(dir $(OUTPUTS))))
 	@rmdir data/models 2>/dev/null || true
 
 distclean: clean ## clean, and .venv too

@@ -5,23 +5,21 @@
 A parameter whose name or type the notebook's `parameters` cell does not know is an error (`tras.parameters`).
 
 The executed notebook appears under its final name as the very last act of a successful run, so that make can take it as its
-stamp. Beside it, `EXECUTED.json` says what ran: parameters, revision, versions, machine, checksums of the outputs.
+stamp. Beside it, `EXECUTED.json` says what ran: parameters, revision, versions, machine, checksums of the outputs; and each output has
+its own such file beside it (`tras.provenance`).
 """
 
 import argparse
 import datetime
-import hashlib
+import glob
 import json
 import os
-import platform
-import re
 import signal
-import subprocess
 import sys
 import time
-from importlib import metadata
 from pathlib import Path
 
+from tras import provenance
 from tras.files import replacing
 from tras.parameters import ParameterError, check_parameters, notebook_defaults, parse_settings, read_params
 
@@ -67,18 +65,20 @@ def run_notebook(notebook, executed, parameters=None, outputs=()):
     """
     notebook, executed, outputs = Path(notebook), Path(executed), [Path(output) for output in outputs]
     running, failed, record = (executed.with_suffix(end) for end in (".running.ipynb", ".failed.ipynb", ".json"))
+    sidecars = [provenance.beside(output) for output in outputs]
     for folder in {path.parent for path in (executed, *outputs)}:
         folder.mkdir(parents=True, exist_ok=True)
-    for leftover in (executed, record, running, failed):
+    for leftover in (executed, record, running, failed, *sidecars, *_temporaries([record, *outputs, *sidecars])):
         leftover.unlink(missing_ok=True)
     start, began = time.time(), datetime.datetime.now(datetime.timezone.utc)
     try:
         _execute(notebook, running, parameters or {})
         _check_outputs(outputs, start, notebook)
         seconds = time.time() - start
-        provenance = _provenance(notebook, parameters or {}, outputs, began, seconds)
+        ran = provenance.record(notebook, {**notebook_defaults(notebook), **(parameters or {})}, outputs, began, seconds)
+        provenance.write_beside(ran)
         with replacing(record) as temporary:
-            temporary.write_text(json.dumps(provenance, indent=1) + "\n", encoding="utf-8")
+            temporary.write_text(json.dumps(ran, indent=1) + "\n", encoding="utf-8")
         os.replace(running, executed)
         return seconds
     except RunError as error:
@@ -143,58 +143,11 @@ def _check_outputs(outputs, start, notebook):
             raise RunError(f"{notebook.stem} ran to its end, but {output} {found}: let the notebook write it or drop it from make's list.")
 
 
-def _provenance(notebook, parameters, outputs, began, seconds):
-    """What ran, for the record beside the executed notebook; it never enters files that are compared."""
-    revision, dirty = _git(notebook.resolve().parent)
-    return {
-        "notebook": str(notebook),
-        "parameters": {**notebook_defaults(notebook), **parameters},
-        "git": {"revision": revision, "dirty": dirty},
-        "python": platform.python_version(),
-        "packages": _versions(),
-        "platform": platform.platform(),
-        "processor": _processor(),
-        "threads": {name: os.environ.get(name) for name in PINNED},
-        "started": began.isoformat(timespec="seconds"),
-        "seconds": round(seconds, 2),
-        "outputs": {str(output): _checksum(output) for output in outputs},
-    }
-
-
-def _checksum(path):
-    status = path.stat()
-    return {"size": status.st_size, "mtime_ns": status.st_mtime_ns, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-
-
-def _git(folder):
-    """Revision, and whether the tree differs from it; (None, None) outside git or without commits."""
-    answers = []
-    for command in (["rev-parse", "HEAD"], ["status", "--porcelain"]):
-        try:
-            answers.append(subprocess.run(["git", *command], cwd=folder, capture_output=True, text=True, check=True).stdout.strip())
-        except (OSError, subprocess.CalledProcessError):
-            return None, None
-    return answers[0], bool(answers[1])
-
-
-def _versions():
-    """Installed versions of the direct dependencies, which `environment.in` lists."""
-    listed = Path(__file__).parent.parent / "environment.in"
-    names = re.findall(r"^[A-Za-z0-9_.-]+", listed.read_text(encoding="utf-8"), re.MULTILINE) if listed.exists() else []
-    versions = {}
-    for name in names:
-        try:
-            versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            versions[name] = None
-    return versions
-
-
-def _processor():
-    try:
-        return re.search(r"^model name\s*: (.*)", Path("/proc/cpuinfo").read_text(), re.MULTILINE)[1]
-    except (OSError, TypeError):
-        return platform.processor() or platform.machine()
+def _temporaries(finals):
+    """What a killed run has left of `tras.files.replacing`: a dot, the name, a dot, eight random characters."""
+    return [
+        path for final in finals for path in final.parent.glob(f".{glob.escape(final.stem)}.????????{glob.escape(final.suffix)}")
+    ]
 
 
 # --- the command line ----------------------------------------------------------------------------------------------------------

@@ -303,23 +303,34 @@ def _text(path: Path) -> str:
         raise SystemExit(f"{path} cannot be read ({error.strerror}): restore it from git or correct the path.") from None
 
 
-def changed_outputs(record: Path) -> list[str]:
-    """Outputs that are not the ones that the stage wrote, by the record that the runner left; none without a record."""
+def changed_outputs(record: Path, stamp: Path) -> list[str]:
+    """What became of outputs that are not the ones that the stage wrote, by the record that the runner left.
+
+    A stage without a stamp was not run to its end, and there is nothing to say; one with a stamp and without a record cannot be trusted.
+    """
+    if not stamp.exists():
+        return []
     try:
         outputs = json.loads(record.read_text(encoding="utf-8"))["outputs"]
-        return [name for name, written in outputs.items() if not _is_as_written(Path(name), written)]
-    except (OSError, ValueError, KeyError):
-        return []
+        fates = {name: _fate(Path(name), written) for name, written in outputs.items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return [f"{record} was deleted or damaged"]
+    return [f"{name} was {fate}" for name, fate in fates.items() if fate]
 
 
-def _is_as_written(path: Path, written: dict) -> bool:
+def _fate(path: Path, written: dict) -> str:
+    """"deleted", "changed", or empty for a file as it was written. The change time is beyond the reach of `touch`."""
     try:
         now = path.stat()
         if now.st_size != written["size"]:
-            return False
-        return now.st_mtime_ns == written["mtime_ns"] or hashlib.sha256(path.read_bytes()).hexdigest() == written["sha256"]
-    except OSError:
-        return False
+            return f"changed ({now.st_size} bytes for {written['size']})"
+        if (now.st_mtime_ns, now.st_ctime_ns) == (written["mtime_ns"], written["ctime_ns"]):
+            return ""
+        return "" if hashlib.sha256(path.read_bytes()).hexdigest() == written["sha256"] else "changed"
+    except FileNotFoundError:
+        return "deleted"
+    except OSError as error:
+        return f"made unreadable ({error.strerror})"
 
 
 def refresh(notebook: Path, build: Path, key: str) -> str:
@@ -328,20 +339,20 @@ def refresh(notebook: Path, build: Path, key: str) -> str:
     Returns
     -------
     str
-        Why, for the reader of make's output; empty when the stage is up to date or was never run.
+        Why, for the reader of make's output, with the name of every output that was tampered with; empty when the stage is up to date
+        or was never run.
     """
     path = build / f"{notebook.stem}.key"
     old = path.read_text(encoding="utf-8") if path.exists() else None
-    spoilt = changed_outputs(path.with_suffix(".json")) if old == key else []
+    spoilt = changed_outputs(path.with_suffix(".json"), path.with_suffix(notebook.suffix))
     if old == key and not spoilt:
         return ""
     write_atomically(path, key)
-    if old is None:
-        return ""
-    if spoilt:
-        return f"{notebook.stem} is out of date: {_listed(spoilt)} deleted or changed since"
-    changed = {line.rsplit(": ", 1)[0] for line in set(old.splitlines()) ^ set(key.splitlines())}
-    return f"{notebook.stem} is out of date: {_listed(sorted(changed))} changed"
+    reasons = spoilt
+    if old not in (None, key):
+        changed = {line.rsplit(": ", 1)[0] for line in set(old.splitlines()) ^ set(key.splitlines())}
+        reasons = [f"{_listed(sorted(changed))} changed", *spoilt]
+    return f"{notebook.stem} is out of date: {', '.join(reasons)}" if reasons else ""
 
 
 def _listed(names: list[str]) -> str:
@@ -373,13 +384,20 @@ def main(arguments: list[str] | None = None) -> int:
     keys = [options.build / f"{notebook.stem}.key" for notebook in options.notebooks]
     unchanged = seen.exists() and seen.read_text() == raw and all(key.exists() for key in keys)
     package = None if unchanged else Package(options.package)
+    try:
+        _refresh_all(options, keys, unchanged, package)
+        write_atomically(seen, raw)
+    except OSError as error:
+        raise SystemExit(f"{options.build} cannot be written ({error.strerror}): make room there, then run make again.") from None
+    return 0
+
+
+def _refresh_all(options, keys, unchanged, package):
     for notebook, path in zip(options.notebooks, keys):
         key = path.read_text(encoding="utf-8") if unchanged else key_of(notebook, options.params, options.environment, package)
         reason = refresh(notebook, options.build, key)
         if reason:
-            print(reason)
-    write_atomically(seen, raw)
-    return 0
+            print(reason, flush=True)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,184 @@
+"""What is in an artefact, for comparison: columns of numbers, or a small grey picture; and their copies in `reference/`.
+
+A copy is text or a small picture: a table (.csv) as it is, thinned if it is long; a recording (.nc) as a thinned table; a model (.npz)
+with one line a number, long arrays thinned; a picture (.png) in grey at a quarter of the size.
+"""
+
+import collections
+import csv
+import json
+import shutil
+
+from tras.files import replacing
+
+# No NumPy at the top: with equal bytes there is nothing to read.
+
+WHOLE = 100_000  # bytes; the copy of a longer table is thinned
+ROWS = 250  # rows, or elements of an array, that a thinned copy keeps
+SMALLER = 4  # pixels to one, each way
+
+
+# --- artefacts as columns of numbers ---------------------------------------------------------------------------------------------
+
+
+def read_columns(path):
+    """The content of a table (.csv), a recording (.nc) or a model (.npz).
+
+    Returns
+    -------
+    dict of str to ndarray
+        Column -> (rows,) whole numbers, floats or text; the arrays of a model are flattened, so lengths differ.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read.
+    """
+    reader = {".csv": _read_csv, ".nc": _read_recording, ".npz": _read_arrays}[path.suffix]
+    try:
+        return reader(path)
+    except Exception as error:  # a damaged file makes its reader raise anything
+        raise ValueError(f"{path} cannot be read ({error})") from error
+
+
+def _read_csv(path):
+    with open(path, encoding="utf-8", newline="") as file:
+        names, *rows = csv.reader(file, strict=True)
+    if not rows or any(len(row) != len(names) for row in rows):
+        raise ValueError(f"its lines do not all have {len(names)} fields" if rows else "it has no rows")
+    return {name: _typed(values) for name, values in zip(names, zip(*rows))}
+
+
+def _read_recording(path):
+    from tras.recording import Recording
+
+    frame = Recording.read(path).to_frame()
+    return {name: frame[name].to_numpy() for name in frame}
+
+
+def _read_arrays(path):
+    """Arrays, their shapes, and the leaves of the JSON header; versions are no part of the result."""
+    import numpy as np
+
+    columns = {}
+    with np.load(path, allow_pickle=False) as file:
+        for name in file.files:
+            array = file[name]
+            if name == "header":
+                header = {key: value for key, value in json.loads(str(array)).items() if key != "versions"}
+                columns |= {f"header.{key}": _typed([text(leaf)]) for key, leaf in _leaves(header)}
+                continue
+            columns[f"{name}.shape"] = np.array([str(array.shape)])
+            parts = {".real": array.real, ".imag": array.imag} if array.dtype.kind == "c" else {"": array}
+            columns |= {name + part: values.ravel() for part, values in parts.items() if array.size}
+    return columns
+
+
+def _leaves(value, name=""):
+    """(dotted name, leaf) of nested dicts and lists."""
+    if not isinstance(value, (dict, list)):
+        yield name, value
+        return
+    for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+        yield from _leaves(item, f"{name}.{key}".lstrip("."))
+
+
+def _typed(values):
+    """Strings as an array of the narrowest of: whole numbers, floats (an empty field is NaN), text."""
+    import numpy as np
+
+    for kind in (int, float):
+        try:
+            return np.array([kind(value or "nan") for value in values], dtype=kind)
+        except (ValueError, OverflowError):
+            pass
+    return np.array(values, dtype=str)
+
+
+def text(value):
+    """A number as the copies hold it: twelve digits."""
+    return f"{value:.12g}" if isinstance(value, float) else str(value)
+
+
+# --- their copies in reference/ --------------------------------------------------------------------------------------------------
+
+
+def copy_of(artefact, reference):
+    """Where the copy of an artefact lies in the folder ``reference``, None for a kind of which only the checksum is kept."""
+    if artefact.suffix not in (".csv", ".nc", ".npz", ".png"):
+        return None
+    return reference / (artefact if artefact.suffix in (".csv", ".png") else artefact.with_name(artefact.name + ".csv"))
+
+
+def write_copy(artefact, copy):
+    """Write the copy of an artefact; `ValueError` if the artefact cannot be read."""
+    if artefact.suffix == ".png":
+        import matplotlib.image
+
+        with replacing(copy) as temporary:
+            matplotlib.image.imsave(temporary, picture(artefact), cmap="gray", vmin=0, vmax=255, metadata={"Software": None})
+    elif artefact.suffix == ".csv" and artefact.stat().st_size <= WHOLE:
+        read_columns(artefact)
+        with replacing(copy) as temporary:
+            shutil.copyfile(artefact, temporary)
+    else:
+        _write_thinned(read_columns(artefact), copy)
+
+
+def _write_thinned(columns, copy):
+    """Some of the rows: their numbers and one column a column, or one line a number where lengths differ."""
+    import numpy as np
+
+    kept = {name: np.unique(np.linspace(0, len(values) - 1, ROWS).round().astype(int)) for name, values in columns.items()}
+    if len({len(values) for values in columns.values()}) == 1:
+        rows = next(iter(kept.values()))
+        lines = [("#row", *columns), *zip(rows, *([text(v) for v in values[rows].tolist()] for values in columns.values()))]
+    else:
+        lines = [("#array", "#row", "#value")]
+        lines += [(name, row, text(values[row].item())) for name, values in columns.items() for row in kept[name]]
+    with replacing(copy) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(lines)
+
+
+def read_copy(path):
+    """A copy of columns: name -> (row numbers or None for all, values); `ValueError` if it cannot be read."""
+    try:
+        with open(path, encoding="utf-8", newline="") as file:
+            names, *lines = csv.reader(file, strict=True)
+        if names == ["#array", "#row", "#value"]:
+            grouped = collections.defaultdict(list)
+            for name, row, value in lines:
+                grouped[name].append((int(row), value))
+            return {name: ([row for row, _ in pairs], _typed([value for _, value in pairs])) for name, pairs in grouped.items()}
+        columns = _read_csv(path)
+        rows = columns.pop("#row", None)
+        return {name: (rows, values) for name, values in columns.items()}
+    except (OSError, ValueError, csv.Error) as error:
+        raise ValueError(f"{path} cannot be read ({error}): git checkout {path}") from error
+
+
+def picture(path):
+    """A picture in small: float array (height, width) of grey levels, 0 to 255; `ValueError` if it cannot be read."""
+    levels = _levels(path)
+    height, width = (size // SMALLER * SMALLER for size in levels.shape)
+    blocks = levels[:height, :width].reshape(height // SMALLER, SMALLER, width // SMALLER, SMALLER)
+    return (255 * blocks.mean(axis=(1, 3))).round()
+
+
+def read_small(copy):
+    """The copy of a picture, as `picture` gives it."""
+    return 255 * _levels(copy)
+
+
+def _levels(path):
+    """Grey, 0 to 1, of every pixel; transparent is white."""
+    import matplotlib.image
+
+    try:
+        levels = matplotlib.image.imread(path).astype(float)
+    except Exception as error:  # a damaged file makes its reader raise anything
+        raise ValueError(f"{path} cannot be read ({error})") from error
+    if levels.ndim == 2:
+        return levels
+    opaque = levels[..., 3] if levels.shape[2] == 4 else 1.0
+    return 1 - opaque * (1 - levels[..., :3].mean(axis=2))
