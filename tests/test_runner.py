@@ -1,5 +1,7 @@
 """The runner: what it refuses, what it leaves behind, and what it never leaves behind."""
 
+import datetime
+import hashlib
 import json
 import os
 import re
@@ -12,7 +14,7 @@ from pathlib import Path
 import nbformat
 import pytest
 
-from tras import files, parameters, runner
+from tras import files, parameters, provenance, runner
 
 DEFAULTS = """\
 seed = 1
@@ -171,9 +173,59 @@ def test_fail_repair_succeed(tmp_path, capsys):
 
     record = json.loads((build / "01_stage.json").read_text())
     assert record["parameters"] == {"n": 3.0}
-    assert record["git"] == {"revision": None, "dirty": None}
+    assert record["git"] == {"revision": None, "dirty": None, "changed": None}
     assert record["outputs"][str(output)]["size"] == 3
-    assert record["packages"]["numpy"] and record["threads"]["OPENBLAS_NUM_THREADS"]
+    assert record["packages"]["numpy"] and record["variables"]["OPENBLAS_NUM_THREADS"]
+
+
+WRITES = """\
+import pathlib
+for path in {paths!r}:
+    pathlib.Path(path).write_text(str(seed))
+"""
+
+
+def test_provenance_lies_beside_each_artefact(tmp_path, capsys):
+    outputs = [tmp_path / "data" / "a.csv", tmp_path / "data" / "models" / "a.npz", tmp_path / "figures" / "a.csv"]
+    path = write_notebook(tmp_path / "notebooks" / "a.ipynb", "seed = 1\nn = 2.0", WRITES.format(paths=list(map(str, outputs))))
+    left = tmp_path / "data" / ".a.abcd1234.csv"  # by a run that was killed
+    others = tmp_path / "data" / ".b.abcd1234.csv"
+    for file in (left, others):
+        file.parent.mkdir(exist_ok=True)
+        file.touch()
+    assert run(path, "--set", "seed=7", "--outputs", *outputs)[0] == 0
+    assert not left.exists() and others.exists()
+    for output in outputs:
+        beside = json.loads((output.parent / "provenance" / f"{output.name}.json").read_text())
+        assert beside["artefact"] == str(output) and beside["notebook"] == str(path)
+        assert beside["sha256"] == hashlib.sha256(b"7").hexdigest() and output.read_text() == "7"
+        assert beside["parameters"] == {"seed": 7, "n": 2.0} and beside["seeds"] == {"seed": 7}
+        assert beside["packages"]["scipy"] and beside["python"] and beside["platform"] and beside["processor"]
+        assert datetime.datetime.fromisoformat(beside["started"]).utcoffset() is not None and 0 < beside["seconds"] < 60
+    first = (outputs[0].parent / "provenance" / "a.csv.json").read_text()
+    assert run(path, "--outputs", *outputs)[0] == 0
+    second = json.loads((outputs[0].parent / "provenance" / "a.csv.json").read_text())
+    assert json.loads(first)["seeds"] == {"seed": 7} and second["seeds"] == {"seed": 1}
+    write_notebook(path, "seed = 1", "1 / 0")
+    assert run(path, "--outputs", *outputs)[0] == 1
+    assert not (outputs[0].parent / "provenance" / "a.csv.json").exists()  # it would speak of a run that was not this file's last
+
+
+def test_the_state_of_git(tmp_path):
+    assert provenance.git_state(tmp_path) == {"revision": None, "dirty": None, "changed": None}
+    git = ["git", "-c", "user.name=a", "-c", "user.email=a@example.org", "-C", str(tmp_path)]
+    (tmp_path / "figures").mkdir()
+    for name in ("a.py", "figures/plot 1.png"):
+        (tmp_path / name).write_text("1")
+    for command in (["init", "-q"], ["add", "."], ["commit", "-qm", "first"]):
+        subprocess.run([*git, *command], check=True)
+    clean = provenance.git_state(tmp_path)
+    assert re.fullmatch("[0-9a-f]{40}", clean["revision"]) and clean["dirty"] is False and clean["changed"] == []
+    (tmp_path / "figures" / "plot 1.png").write_text("2")
+    assert provenance.git_state(tmp_path / "figures", [tmp_path / "figures" / "plot 1.png"]) == clean  # what the run itself writes
+    assert provenance.git_state(tmp_path)["changed"] == ["figures/plot 1.png"]
+    (tmp_path / "a.py").write_text("2")
+    assert provenance.git_state(tmp_path, [tmp_path / "figures" / "plot 1.png"]) == clean | {"dirty": True, "changed": ["a.py"]}
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -196,6 +248,28 @@ def test_an_interrupted_run_leaves_nothing_under_the_final_name(tmp_path, number
     assert list(executed.parent.iterdir()) == []
     kernel = int(started.read_text())
     wait_for(lambda: not Path(f"/proc/{kernel}").exists())
+
+
+def test_a_kernel_and_its_workers_end_with_a_runner_that_is_killed(tmp_path):
+    started = tmp_path / "started"
+    code = f"import os, pathlib, subprocess\nworker = subprocess.Popen(['sleep', '60'])\nfinal = pathlib.Path({str(started)!r})\n"
+    code += "final.with_suffix('.part').write_text(f'{os.getpid()} {worker.pid}')\nfinal.with_suffix('.part').rename(final)\nwhile True: pass"
+    notebook = write_notebook(tmp_path / "notebooks" / "a.ipynb", "n = 1", code)
+    command = [sys.executable, "-m", "tras.runner", notebook, tmp_path / "build" / "a.ipynb"]
+    process = subprocess.Popen(command, cwd=Path(runner.__file__).parent.parent)
+    wait_for(started.exists)
+    process.kill()
+    process.wait()
+    for number in started.read_text().split():
+        wait_for(lambda: not running(number), 5)
+
+
+def running(number):
+    """Whether there is such a process, other than as a zombie that nobody asks for."""
+    try:
+        return re.search(r"^State:\s+(\w)", Path(f"/proc/{number}/status").read_text(), re.MULTILINE)[1] != "Z"
+    except OSError:
+        return False
 
 
 def wait_for(condition, seconds=30):

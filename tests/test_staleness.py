@@ -2,13 +2,14 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tras import staleness
+from tras import provenance, staleness
 
 INIT = '''
 import importlib
@@ -175,20 +176,67 @@ def test_relative_imports_are_resolved(project, code):
     assert found - {"tras"} == {f"tras.{name}" for name in RELATIVE[code]}
 
 
-def test_outputs_that_changed_since_make_their_stage_stale(project, capsys):
-    Path("a.csv").write_text("1")
+@pytest.fixture
+def built(project):
+    """The project after 01_fit has written four files, as the runner records it."""
+    names = ["a.csv", "b.csv", "c.csv", "d.csv"]
+    for name in names:
+        Path(name).write_text("1")
     stale()
-    status = Path("a.csv").stat()
-    written = {"size": 1, "mtime_ns": status.st_mtime_ns, "sha256": "6b86b273ff34fce19d6b804eff5a3f5747ada4eaa22f1d49c01e52ddb7875b4b"}
-    Path("build/01_fit.json").write_text(json.dumps({"outputs": {"a.csv": written}}))
+    Path("build/01_fit.json").write_text(json.dumps({"outputs": {name: provenance.written(Path(name)) for name in names}}))
+    Path("build/01_fit.ipynb").touch()
     assert stale() == []
+    return project
+
+
+def rewritten(name, text):
+    """Another content, with the times put back."""
+    times = Path(name).stat()
+    Path(name).write_text(text)
+    os.utime(name, ns=(times.st_atime_ns, times.st_mtime_ns))
+
+
+DAMAGES = {
+    "one byte": (lambda: Path("a.csv").write_text("2"), "a.csv was changed"),
+    "one byte, times put back": (lambda: rewritten("a.csv", "2"), "a.csv was changed"),
+    "longer": (lambda: Path("a.csv").write_text("12"), "a.csv was changed (2 bytes for 1)"),
+    "emptied": (lambda: Path("a.csv").write_text(""), "a.csv was changed (0 bytes for 1)"),
+    "deleted": (lambda: Path("a.csv").unlink(), "a.csv was deleted"),
+    "a folder in its place": (lambda: (Path("a.csv").unlink(), Path("a.csv").mkdir()), "a.csv was "),
+    "all of them": (lambda: [Path(f"{name}.csv").unlink() for name in "abcd"],
+                    "a.csv was deleted, b.csv was deleted, c.csv was deleted, d.csv was deleted"),
+    "the record deleted": (lambda: Path("build/01_fit.json").unlink(), "build/01_fit.json was deleted or damaged"),
+    "the record damaged": (lambda: Path("build/01_fit.json").write_text("{"), "build/01_fit.json was deleted or damaged"),
+    "with a change of code": (lambda: (Path("a.csv").unlink(), change("tras/model.py", "fit", "fit2")), "tras.model changed, a.csv was deleted"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", DAMAGES)
+def test_a_damaged_output_is_named_and_its_stage_out_of_date(built, what, capsys):
+    make, said = DAMAGES[what]
+    make()
+    assert stale() == ["01_fit"]
+    printed = capsys.readouterr().out
+    assert printed.startswith(f"01_fit is out of date: {said}") and printed.count("\n") == 1
+
+
+def test_touching_or_copying_an_output_is_no_damage(built, capsys):
     Path("a.csv").touch()
-    assert stale() == []
-    Path("a.csv").write_text("2")
-    assert stale() == ["01_fit"]
-    Path("a.csv").unlink()
-    assert stale() == ["01_fit"]
-    assert "a.csv deleted or changed since" in capsys.readouterr().out
+    shutil.copy("b.csv", "copy")
+    os.replace("copy", "b.csv")
+    assert stale() == [] and capsys.readouterr().out == ""
+
+
+def test_without_a_stamp_there_is_nothing_to_say(built, capsys):
+    Path("build/01_fit.ipynb").unlink()  # the runner's first act
+    Path("a.csv").write_text("half")
+    assert stale() == [] and capsys.readouterr().out == ""
+
+
+def test_a_folder_that_cannot_be_written_is_named(project):
+    Path("build").write_text("a file")
+    with pytest.raises(SystemExit, match="build cannot be written"):
+        staleness.main(["--build", "build", "--params", "params.yaml", "notebooks/01_fit.ipynb"])
 
 
 def test_missing_files_are_named(project):

@@ -15,6 +15,7 @@ import glob
 import json
 import os
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -101,9 +102,15 @@ def _execute(notebook, running, parameters):
     from jupyter_client.kernelspec import NoSuchKernel
     from nbclient.exceptions import CellTimeoutError, DeadKernelError
 
+    guards = []
+
     class Manager(AsyncKernelManager):
         transport_encryption = "auto"  # else ipykernel 7.3 and later warn at every start
         shutdown_wait_time = 1.0  # s; one kernel in fifteen never answers the farewell, and the default would wait 3.4 s for it
+
+        async def _async_post_start_kernel(self, **options):
+            await super()._async_post_start_kernel(**options)
+            guards.append(_guard(self.provisioner.pgid))
 
         async def _async_interrupt_kernel(self):
             """No interrupt as part of the farewell: the kernel is idle or about to be killed, and would only log an error."""
@@ -124,6 +131,8 @@ def _execute(notebook, running, parameters):
             cwd=notebook.resolve().parent,  # as JupyterLab has it
             kernel_manager_class=Manager,
         )
+        for guard in guards:
+            guard.stdin.write(b"done\n")
     except papermill.PapermillExecutionError as error:
         cell = "\n".join(f"    {line}" for line in error.source.splitlines())
         raise RunError(
@@ -133,6 +142,20 @@ def _execute(notebook, running, parameters):
         raise RunError(f"{notebook.stem}: the kernel ended in the middle of a cell ({error}); was the memory enough?") from None
     except NoSuchKernel:
         raise RunError(f"{notebook.stem}: this Python has no kernel `{KERNEL}`: run `make setup` and use .venv.") from None
+    finally:
+        for guard in guards:
+            guard.communicate()
+
+
+def _guard(group):
+    """A process that ends the kernel and its workers when we are gone or give up: killed outright, we could not do it ourselves.
+
+    The kernel would notice within a second, in which it might write; its idle workers would stay for five minutes.
+    """
+    command = ["sh", "-c", 'read -r line || kill -s KILL -- "-$1"', "sh", str(group)]
+    return subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
 
 
 def _check_outputs(outputs, start, notebook):
