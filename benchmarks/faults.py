@@ -155,8 +155,8 @@ def kill(number, rng, states, expected, other, seconds):
     return f"{number:2}  from {kind}, after {moment:.1f} s, {where}"
 
 
-def wait_for_orphans(seconds=20):
-    """Kernels look once a second whether their runner still lives."""
+def wait_for_orphans(seconds=10):
+    """Nothing of a killed run may live on."""
     end = time.monotonic() + seconds
     while processes():
         if time.monotonic() > end:
