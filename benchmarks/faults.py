@@ -108,9 +108,12 @@ def check_complete(expected):
 
 def check_whole(*allowed):
     """Whatever lies under a final name has the bytes of one complete run or the other: nothing is half written."""
-    for name, checksum in artefacts().items():
-        if checksum not in [expected.get(name) for expected in allowed]:
-            raise Wrong(f"{name} is half written")
+    found = artefacts()
+    odd = sorted(name for name, checksum in found.items() if checksum not in [expected.get(name) for expected in allowed])
+    if odd:
+        kept = Path(tempfile.mkdtemp(prefix="tras-odd-"))
+        shutil.copytree(BUILD, kept / "build")
+        raise Wrong(f"of {len(found)} files these are of neither run: {', '.join(odd)}; all of them are kept in {kept}")
     for stage in STAGES:
         if (BUILD / f"{stage}.ipynb").exists():
             json.loads((BUILD / f"{stage}.ipynb").read_text())
@@ -235,7 +238,7 @@ def attempt(results, part, function, *arguments):
     try:
         line, good = function(*arguments), True
     except Wrong as error:
-        line, good = f"WRONG, {function.__name__}{arguments[:2]}: {error}", False
+        line, good = f"{arguments[0]}  WRONG: {error}", False
     print(f"{part:6}  {line}", flush=True)
     results.setdefault(part, []).append(good)
 

@@ -273,8 +273,9 @@ class Recording:
             If the suffix is not ``.nc``, or an attribute set since is none that JSON can hold.
         """
         path = _netcdf_path(path)
+        content = self.to_xarray().to_netcdf(engine="h5netcdf")  # in memory: on a full disk HDF5 cannot even close a file
         with replacing(path) as temporary:
-            self.to_xarray().to_netcdf(temporary, engine="h5netcdf")
+            temporary.write_bytes(content)
 
     @classmethod
     def read(cls, path):
