@@ -72,6 +72,17 @@ def test_what_ran_away_is_counted_and_not_averaged():
     assert "monomials2" not in set(effects.nearest(table)["dictionary"])
 
 
+def test_draws_of_centres_are_one_and_fail_together():
+    """The median over the draws stands for a dictionary; a draw that ran away is not left out of it."""
+    one = a_table(known)
+    other = one[one["dictionary"] == "gaussian"].assign(draw=1)
+    found = effects.effects(pd.concat([one, other.assign(nrmse=3 * other["nrmse"])]), DEFAULT).set_index(["option", "choice", "angle"])
+    assert found.loc[("dictionary", "monomials2", "yaw"), "median"] == pytest.approx(2 / 2)  # the median of 1 and 3 is 2
+    gone = other.assign(nrmse=math.nan, diverged=10)
+    row = effects.effects(pd.concat([one, gone]), DEFAULT).set_index(["option", "choice", "angle"]).loc[("dictionary", "monomials2", "yaw")]
+    assert row["pairs"] == 0 < row["lost"] and math.isnan(row["median"])
+
+
 def test_a_fit_without_model_makes_its_reading_incomplete():
     table = a_table(known)
     failed = (table["dictionary"] == "gaussian28") & (table["train_seed"] == 1) & (table["state"] == "four_states")

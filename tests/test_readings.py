@@ -67,6 +67,7 @@ def test_yaml_by_section_and_with_defaults(tmp_path):
     path.write_text("study:\n  default:\n    input: torque\nempty:\n")
     assert readings.read_yaml(path, "study", "default") == Readings(input="torque")
     assert readings.read_yaml(path, "empty") == Readings()
+    assert readings.read_yaml(ROOT / "params" / "paper.yaml", "06_readings", "default") == Readings()
 
 
 @pytest.mark.parametrize("content, sections, words", [
@@ -95,6 +96,16 @@ def test_the_table_holds_every_choice_with_the_papers_words():
     assert table["paper"].nunique() == len(OPTIONS)
     text = readings.markdown()
     assert len(text.splitlines()) == 2 + len(OPTIONS) and all(f"`{choice}`" in text for _, choice in ALL)
+
+
+def test_the_command_writes_the_table_and_names_what_is_missing(tmp_path, capsys):
+    document = tmp_path / "d.md"
+    document.write_text(f"before\n{readings.BEGIN}\nold\n{readings.END}\nafter\n")
+    assert readings.main([str(document)]) == 0 == readings.main([str(document)])
+    assert document.read_text() == f"before\n{readings.BEGIN}\n{readings.markdown()}\n{readings.END}\nafter\n"
+    document.write_text("no markers")
+    assert readings.main([str(document)]) == 2 == readings.main([str(tmp_path / "none.md")])
+    assert "d.md must hold the lines" in (said := capsys.readouterr().err) and "none.md cannot be read" in said
 
 
 def test_the_documentation_holds_the_table():
