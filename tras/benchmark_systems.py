@@ -12,8 +12,8 @@ from scipy.integrate import solve_ivp
 
 from tras.dictionary import Monomials
 from tras.model import KoopmanModel
-from tras.refinement import refine
 from tras.recording import Recording
+from tras.refinement import refine
 
 SLOW, FAST = -0.05, -1.0
 

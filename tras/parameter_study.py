@@ -1,15 +1,11 @@
 """The plant's eight lumped parameters from identified vector fields, with and without noise, and how far they scatter."""
 
-import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed
 from sklearn.base import clone
 
-from tras.refinement import refine
 from tras.physics import parameter_intervals
 from tras.plant import PlantParameters
-
-_BATCHES = 2  # of draws, which can be had at the same time
+from tras.refinement import refine
 
 
 def parameter_study(cases, samples, draws, *, seed=0, processes=1):
@@ -26,7 +22,7 @@ def parameter_study(cases, samples, draws, *, seed=0, processes=1):
     samples : int
         Length of the trajectories, the units of the bootstrap.
     draws : int
-        Four or more. About 20 give a standard error good to a sixth, and too few quantiles for a percentile interval.
+        About 20 give a standard error good to a sixth, and too few quantiles for a percentile interval.
     seed : int
         Of the draws.
 
@@ -35,24 +31,16 @@ def parameter_study(cases, samples, draws, *, seed=0, processes=1):
     pandas.DataFrame
         Columns ``noise`` (%), ``parameter, true, value, standard_error, low, high`` (SI) and ``error`` (% of the true value).
     """
-    levels = sorted(cases, reverse=True)  # with noise it takes longer: that begins first
-    jobs = [(level, seed + k) for level in levels for k in range(_BATCHES)]
-    batches = Parallel(n_jobs=processes)(delayed(_bootstrap)(level, *cases[level], samples, draws // _BATCHES, k) for level, k in jobs)
-    parts = [_summary(level, batches[i * _BATCHES : (i + 1) * _BATCHES]) for i, level in enumerate(levels)]
-    return pd.concat(parts[::-1], ignore_index=True)
+    parts = [_intervals(level, *cases[level], samples, draws, seed, processes) for level in sorted(cases)]
+    return pd.concat(parts, ignore_index=True)
 
 
-def _bootstrap(level, model, recording, points, samples, draws, seed):
+def _intervals(level, model, recording, points, samples, draws, seed, processes):
     def again(drawn):
         return refine(model, drawn, iterations=1) if level else clone(model).set_params(strength=model.strength_).fit(drawn)
 
-    return parameter_intervals(model, recording.cut(samples), draws, seed=seed, pipeline=again, points=points.cut(samples))
-
-
-def _summary(level, batches):
-    """One table of all draws: batches of equal size, so their variances are averaged."""
-    value = batches[0]["value"]
-    spread = np.sqrt(np.mean([batch["standard_error"] ** 2 for batch in batches], axis=0))
+    found = parameter_intervals(model, recording.cut(samples), draws, seed=seed, pipeline=again, points=points.cut(samples), processes=processes)
+    value, spread = found["value"], found["standard_error"]
     true = pd.Series(PlantParameters().as_dict())[value.index].astype(float)
     table = {"noise": level, "parameter": value.index, "true": true, "value": value, "standard_error": spread}
     return pd.DataFrame({**table, "low": value - 1.96 * spread, "high": value + 1.96 * spread, "error": 100 * (value / true - 1)})

@@ -10,6 +10,7 @@ so with the accelerations that an identified field F gives, they follow by one l
 
 import numpy as np
 import pandas as pd
+from joblib import Parallel, delayed
 from sklearn.base import clone
 from tqdm import tqdm
 
@@ -61,7 +62,7 @@ def lumped_parameters(model, recording):
     return pd.Series(_estimate(model, _plant_channels(join(recording))), index=list(PARAMETER_NAMES), name="value")
 
 
-def parameter_intervals(model, recording, draws=50, level=0.95, seed=0, pipeline=None, points=None):
+def parameter_intervals(model, recording, draws=50, level=0.95, seed=0, pipeline=None, points=None, processes=1):
     """The lumped parameters with confidence intervals, by a bootstrap over trajectories.
 
     Each draw takes as many trajectories as there are, with replacement, identifies a model from them and the parameters from it. The
@@ -87,6 +88,8 @@ def parameter_intervals(model, recording, draws=50, level=0.95, seed=0, pipeline
     points : Recording, optional
         The same trajectories where the fields are to be asked, if not at ``recording`` itself: smoothed, when ``recording`` holds noise that
         ``pipeline`` is to see.
+    processes : int
+        Draws at the same time; the result does not depend on it.
 
     Returns
     -------
@@ -114,17 +117,21 @@ def parameter_intervals(model, recording, draws=50, level=0.95, seed=0, pipeline
         raise ValueError(f"points has {len(points)} trajectories, recording {count}, or their lengths differ; give the same ones, smoothed.")
     identify = pipeline or (lambda drawn: clone(model).fit(drawn))
     value = _estimate(model, points)
-    rng = np.random.default_rng(seed)
-    estimates = np.empty((draws, len(value)))
-    for k in tqdm(range(draws), desc="bootstrap", leave=False, disable=None):
-        drawn = rng.integers(count, size=count).tolist()
-        try:
-            estimates[k] = _estimate(identify(recording[drawn]), points[drawn])
-        except ValueError as error:
-            raise ValueError(f"draw {k} of the bootstrap cannot be identified ({error})") from error
+    drawn = np.random.default_rng(seed).integers(count, size=(draws, count)).tolist()
+    tasks = (delayed(_draw)(identify, recording, points, k, chosen) for k, chosen in enumerate(drawn))
+    parallel = Parallel(n_jobs=processes, return_as="generator")(tasks)
+    estimates = np.array(list(tqdm(parallel, total=draws, desc="bootstrap", leave=False, disable=None)))
     low, high = np.quantile(estimates, [(1 - level) / 2, (1 + level) / 2], axis=0)
     columns = {"value": value, "low": low, "high": high, "standard_error": estimates.std(axis=0, ddof=1)}
     return pd.DataFrame(columns, index=list(PARAMETER_NAMES))
+
+
+def _draw(identify, recording, points, k, chosen):
+    """The parameters from one draw of trajectories."""
+    try:
+        return _estimate(identify(recording[chosen]), points[chosen])
+    except ValueError as error:
+        raise ValueError(f"draw {k} of the bootstrap cannot be identified ({error})") from error
 
 
 def _estimate(model, recording):

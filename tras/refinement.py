@@ -58,7 +58,8 @@ def refine(model, recording, rows=None, iterations=6, segment=None):
     recording = model._same_channels(join(recording))
     model = copy.deepcopy(model)
     rows = _equations(model, recording, rows)
-    for samples in _SEGMENTS if segment is None else (segment,):
+    longest = int(recording.lengths.max())
+    for samples in dict.fromkeys(min(each, longest) for each in _SEGMENTS) if segment is None else (segment,):
         shooting = _Shooting(model, recording, rows, samples)
         W, starts = model.W_, shooting.settled_starts(model.W_)
         costs, damping = [shooting.cost(W, starts)], 1e-9
