@@ -227,6 +227,13 @@ def test_touching_or_copying_an_output_is_no_damage(built, capsys):
     assert stale() == [] and capsys.readouterr().out == ""
 
 
+def test_a_clock_set_back_skips_nothing(built):
+    os.utime("build/01_fit.ipynb", (4e9, 4e9))
+    Path("a.csv").unlink()
+    assert stale() == ["01_fit"]
+    assert Path("build/01_fit.key").stat().st_mtime > 4e9
+
+
 def test_without_a_stamp_there_is_nothing_to_say(built, capsys):
     Path("build/01_fit.ipynb").unlink()  # the runner's first act
     Path("a.csv").write_text("half")

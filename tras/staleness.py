@@ -344,10 +344,14 @@ def refresh(notebook: Path, build: Path, key: str) -> str:
     """
     path = build / f"{notebook.stem}.key"
     old = path.read_text(encoding="utf-8") if path.exists() else None
-    spoilt = changed_outputs(path.with_suffix(".json"), path.with_suffix(notebook.suffix))
+    stamp = path.with_suffix(notebook.suffix)
+    spoilt = changed_outputs(path.with_suffix(".json"), stamp)
     if old == key and not spoilt:
         return ""
     write_atomically(path, key)
+    if stamp.exists() and stamp.stat().st_mtime_ns >= path.stat().st_mtime_ns:  # the clock was set back: make would skip the stage
+        later = stamp.stat().st_mtime_ns + 1_000_000
+        os.utime(path, ns=(later, later))
     reasons = spoilt
     if old not in (None, key):
         changed = {line.rsplit(": ", 1)[0] for line in set(old.splitlines()) ^ set(key.splitlines())}
