@@ -129,6 +129,7 @@ readme: $(READY) ## write the table into README.md, the errors into docs/paper.m
 	@$(PY) -m tras.tables figures/table.csv --readme README.md
 	@$(PY) -m tras.claims data/claims.csv --readme README.md
 	@$(PY) -m tras.errata docs/paper.md
+	@$(PY) -m tras.readings docs/paper.md
 
 clean: ## remove build/ and the generated data (figures/ stays: it is in git)
 	rm -rf build
