@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 import tras
-from tras import claims, effects, readings
+from tras import claims, effects, generator, readings
 
 SEEDS = [(1, 0, 2), (1, 0, 3), (2, 0, 2)]  # train_seed, draw, validation_seed
 
@@ -55,8 +55,8 @@ def with_torque(reading):
     "numbers, verdict, reading",
     [
         (by_default, claims.REPRODUCED, "default"),
-        (with_torque, claims.NAMED, "torque"),
-        (lambda r: (5.6, 4.05) if r["dictionary"] == "monomials3" else (9.0, 9.0), claims.NAMED, "monomials3"),
+        (with_torque, claims.NAMED, "input torque"),
+        (lambda r: (5.6, 4.05) if r["dictionary"] == "monomials3" else (9.0, 9.0), claims.NAMED, "dictionary monomials3"),
         (lambda r: (1.0, 0.4), claims.NOT, ""),
         # Each number under another reading: no model has both.
         (lambda r: {"linear": (4.06, 0.4), "monomials2": (1.0, 5.59)}.get(r["dictionary"], (1.0, 0.4)), claims.NOT, ""),
@@ -156,16 +156,17 @@ def test_starts_are_counted(diverged, verdict):
     assert row["verdict"] == verdict and row["value"] == pytest.approx(3 * diverged / (3 * 83)) and "249 windows" in row["evidence"]
 
 
-def length(clean, noisy):
-    """Shares without a logarithm on short and long stretches, without and with noise."""
+def length(clean, noisy, dependent=0.0):
+    """Shares without a logarithm on short and long stretches, without and with noise; ``dependent`` of them because K is singular."""
     rows = [
-        {"fit": "plain", "dictionary": "linear", "noise": noise, "ratio": ratio, "no_logarithm": share, "dependent": 0.0}
+        {"fit": "plain", "dictionary": "linear", "noise": noise, "ratio": ratio, "failed": share, "no_logarithm": (1 - dependent) * share, "dependent": dependent * share}
         for noise, shares in ((0.0, clean), (1.0, noisy))
         for ratio, share in zip((1.5, 2.0, 200.0), (shares[0], shares[0], shares[1]))
     ]
     return pd.DataFrame(rows)
 
 
+@pytest.mark.parametrize("dependent", [0.0, 1.0])
 @pytest.mark.parametrize(
     "clean, noisy, verdict",
     [
@@ -175,8 +176,8 @@ def length(clean, noisy):
         ((0.0, 0.0), (0.0, 0.0), claims.NOT),  # it never fails
     ],
 )
-def test_the_logarithm_and_the_data(clean, noisy, verdict):
-    row = claims.few_data(length(clean, noisy))
+def test_the_logarithm_and_the_data(clean, noisy, verdict, dependent):
+    row = claims.few_data(length(clean, noisy, dependent))
     assert row["verdict"] == verdict and ("1 %" in row["reading"]) == (verdict == claims.NAMED)
 
 
@@ -237,3 +238,13 @@ def test_the_readme_holds_the_table(judged, tmp_path, capsys):
     readme.write_text("no markers")
     assert claims.main([str(tmp_path / "claims.csv"), "--readme", str(readme)]) == 2 and "must hold" in capsys.readouterr().err
     assert claims.main([str(tmp_path / "none.csv")]) == 2 and "make all" in capsys.readouterr().err
+
+
+def test_a_singular_K_has_the_eigenvalue_zero():
+    """What C8 counts: by the pseudoinverse, functions that are dependent on the data give K an eigenvalue of which there is no logarithm."""
+    rng = np.random.default_rng(0)
+    before = rng.standard_normal((6, 9))  # 6 pairs for 9 functions
+    K = np.linalg.pinv(before) @ rng.standard_normal((6, 9))
+    assert np.sort(np.abs(np.linalg.eigvals(K)))[2] < 1e-12
+    with pytest.raises(generator.LogarithmError):
+        generator.principal_logarithm(K)
