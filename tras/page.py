@@ -1,0 +1,207 @@
+"""One HTML page that needs no network: Markdown with formulas as MathML, tables, figures as data URIs, and the frame round them.
+
+Everything that comes from outside is escaped here. The page is well-formed XML too, which is what the tests check.
+"""
+
+import base64
+import html
+import re
+import struct
+
+import latex2mathml.converter
+import mistune
+import yaml
+from mistune.plugins.math import math
+
+_LARGEST_SVG = 400_000  # bytes; a picture of many points is smaller as PNG
+_NUMBER = ' class="number"'
+
+STYLE = """\
+:root { color: #1a1a1a; background: #fff; font: 1.05rem/1.6 Georgia, "DejaVu Serif", serif; }
+body { max-width: 46rem; margin: 0 auto; padding: 1rem 1rem 4rem; overflow-wrap: break-word; }
+h1, h2, h3, h4 { line-height: 1.25; font-family: system-ui, "DejaVu Sans", sans-serif; }
+h1 { font-size: 1.9rem; } h2 { font-size: 1.45rem; margin-top: 3rem; border-bottom: 1px solid #bbb; padding-bottom: .2rem; }
+h3 { font-size: 1.15rem; margin-top: 2rem; } h4 { font-size: 1rem; margin: 0 0 .4rem; }
+a { color: #0b4a8f; } a:focus-visible, .scroll:focus-visible { outline: 2px solid #0b4a8f; }
+code { font-size: .88em; background: #f3f3f3; padding: 0 .2em; } pre { background: #f3f3f3; padding: .7rem; overflow-x: auto; }
+nav { border: 1px solid #ccc; padding: .5rem 1.2rem 1rem; font-family: system-ui, "DejaVu Sans", sans-serif; font-size: .95rem; }
+nav ul { margin: .3rem 0; padding-left: 1.2rem; } nav h2 { margin: .5rem 0; border: 0; font-size: 1.05rem; }
+figure { margin: 1.8rem 0; } figure img { display: block; width: 100%; max-width: 36rem; height: auto; margin: 0 auto; }
+figcaption, caption { font-size: .92rem; line-height: 1.45; text-align: left; color: #333; }
+figcaption { max-width: 36rem; margin: .6rem auto 0; } caption { padding-bottom: .5rem; }
+.scroll { overflow-x: auto; margin: 1.5rem 0; } .equation { display: flex; align-items: center; gap: 1rem; overflow-x: auto; margin: 1rem 0; padding: .2rem 0; }
+.equation math { flex: 1 0 auto; } math { font-size: 1.08em; }
+table { border-collapse: collapse; font: .85rem/1.4 system-ui, "DejaVu Sans", sans-serif; min-width: 60%; }
+th, td { text-align: left; vertical-align: top; padding: .3rem .6rem; border-bottom: 1px solid #ddd; }
+thead th { border-bottom: 2px solid #555; vertical-align: bottom; } tbody th { font-weight: 600; }
+.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+.prose td { min-width: 11rem; }
+.verdict { display: inline-block; font: bold .88rem/1.3 system-ui, "DejaVu Sans", sans-serif; padding: .1rem .5rem; border: 2px solid; background: #fff; }
+.reproduced { color: #0a5c36; } .named { color: #6b4a00; border-style: dashed; } .not { color: #8c1515; border-style: double; border-width: 4px; }
+.uncheckable { color: #444; border-style: dotted; }
+article { border-left: 3px solid #bbb; padding: .1rem 0 .1rem 1rem; margin: 1.6rem 0; } article p { margin: .35rem 0; }
+.lacking { border: 1px solid #777; padding: .5rem .8rem; background: #f7f7f7; }
+.details { font-size: .9rem; color: #333; }
+@media print {
+  body { max-width: none; padding: 0; font-size: 10pt; } .scroll, .equation { overflow: visible; } table { font-size: 7pt; } .prose td { min-width: 0; }
+  figure, article, tr { break-inside: avoid; } h2, h3 { break-after: avoid; } a { color: inherit; }
+}
+"""
+
+
+def escape(text):
+    """Text for an element or an attribute; characters that no XML may hold become a replacement sign."""
+    return html.escape(re.sub("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]", "\ufffd", str(text)))
+
+
+def formula(tex, *, display=False):
+    r"""A formula as MathML; ``\tag{7}`` at the end of a displayed one puts the number to its right.
+
+    Examples
+    --------
+    >>> formula("x^2")
+    '<math xmlns="http://www.w3.org/1998/Math/MathML" display="inline"><mrow><msup><mi>x</mi><mn>2</mn></msup></mrow></math>'
+    """
+    tex, tag = re.fullmatch(r"(?s)\s*(.*?)\s*(?:\\tag\{([^}]*)\})?\s*", tex).groups()
+    mathml = latex2mathml.converter.convert(tex, display="block" if display else "inline")
+    if not display:
+        return mathml
+    number = f"<span>({escape(tag)})</span>" if tag else ""
+    return f'<div class="equation" tabindex="0">{mathml}{number}</div>\n'
+
+
+def table(head, rows, caption, *, keys=1, prose=False):
+    """A table whose first ``keys`` columns name the row; cells are HTML already, the caption too.
+
+    Cells that hold a number stand to the right, unless ``prose`` says that this is a table of sentences.
+    """
+    body = []
+    for row in rows:
+        cells = [f'<th scope="row">{cell}</th>' for cell in row[:keys]]
+        cells += [f"<td{_NUMBER if _is_number(cell) and not prose else ''}>{cell}</td>" for cell in row[keys:]]
+        body.append(f"<tr>{''.join(cells)}</tr>")
+    numeric = [i >= keys and not prose and all(_is_number(row[i]) for row in rows) for i in range(len(head))]
+    titles = "".join(f'<th scope="col"{_NUMBER if right else ""}>{name}</th>' for name, right in zip(head, numeric))
+    kind = "prose" if prose else "numbers"
+    label = escape(html.unescape(re.sub("<[^>]*>", "", caption)))
+    return (
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{label}"><table class="{kind}">'
+        f"<caption>{caption}</caption>\n<thead><tr>{titles}</tr></thead>\n<tbody>\n" + "\n".join(body) + "\n</tbody></table></div>\n"
+    )
+
+
+def figure(path, alt, caption, identity):
+    """A figure from a file ``path`` (.svg or .png), inside the page; ``caption`` is HTML, the others are text.
+
+    Raises
+    ------
+    ValueError
+        If the file is no picture of its kind.
+    """
+    content = path.read_bytes()
+    width, height = _size(path, content)
+    kind = {".svg": "svg+xml", ".png": "png"}[path.suffix]
+    data = base64.b64encode(content).decode()
+    return (
+        f'<figure id="{escape(identity)}"><img src="data:image/{kind};base64,{data}" width="{width:.0f}" height="{height:.0f}" alt="{escape(alt)}" />\n'
+        f"<figcaption>{caption}</figcaption></figure>\n"
+    )
+
+
+def picture(folder, name):
+    """The file that shows the figure ``name`` best in a page: its SVG, or its PNG when that is missing or the SVG is large; None without any."""
+    svg, png = folder / f"{name}.svg", folder / f"{name}.png"
+    if svg.is_file() and (svg.stat().st_size <= _LARGEST_SVG or not png.is_file()):
+        return svg
+    return png if png.is_file() else None
+
+
+def converter(lookup, block, contents):
+    """A function from Markdown to HTML.
+
+    Parameters
+    ----------
+    lookup : callable
+        ``{{ text }}`` -> what stands in its place (text, not HTML).
+    block : callable
+        Of a fenced block its kind and, from the YAML in it, a dictionary -> HTML.
+    contents : list
+        Headings of levels 2 and 3 are appended to it: (level, identity, HTML).
+    """
+
+    class Renderer(mistune.HTMLRenderer):
+        def text(self, text):
+            return escape(text)
+
+        def heading(self, text, level, **_):
+            taken = [identity for _, identity, _ in contents]
+            base = identity = re.sub(r"[^a-z0-9]+", "-", re.sub("<[^>]*>", "", text).lower()).strip("-") or "part"
+            while identity in taken:
+                identity = f"{base}-{sum(name.startswith(base) for name in taken) + 1}"
+            if level in (2, 3):
+                contents.append((level, identity, text))
+            return f'<h{level} id="{identity}">{text}</h{level}>\n'
+
+        def inline_math(self, text):
+            return formula(text)
+
+        def block_math(self, text):
+            return formula(text, display=True)
+
+        def block_code(self, code, info=None):
+            return block(info.strip(), yaml.safe_load(code) or {}) if info else super().block_code(code)
+
+        def lookup(self, text):
+            return escape(lookup(text))
+
+    def braces(markdown):
+        markdown.inline.register("lookup", r"\{\{ (?P<sought>[^{}]+) \}\}", _parse_lookup, before="codespan")
+
+    return mistune.Markdown(Renderer(escape=True), plugins=[math, braces])
+
+
+def inline(convert, text):
+    """Markdown of one line, without the paragraph round it."""
+    return re.sub(r"^<p>(.*)</p>\s*$", r"\1", convert(" ".join(str(text).split())), flags=re.DOTALL)
+
+
+def frame(title, body, contents):
+    """The whole page: ``title`` is text, ``body`` HTML that begins with its h1, ``contents`` as from `converter`."""
+    first, rest = body.split("</h1>\n", 1)
+    chapters = []
+    for level, identity, text in contents:
+        link = f'<a href="#{identity}">{text}</a>'
+        if level == 2 or not chapters:
+            chapters.append((link, []))
+        else:
+            chapters[-1][1].append(f"<li>{link}</li>")
+    listed = "\n".join(f"<li>{link}{'<ul>' + ''.join(parts) + '</ul>' if parts else ''}</li>" for link, parts in chapters)
+    return (
+        '<!DOCTYPE html>\n<html xmlns="http://www.w3.org/1999/xhtml" lang="en">\n<head>\n<meta charset="utf-8" />\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1" />\n'
+        "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\" />\n"
+        f'<title>{escape(title)}</title>\n<link rel="icon" href="data:," />\n<style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n{first}</h1>\n'
+        f'<nav aria-label="Contents">\n<h2>Contents</h2>\n<ul>\n{listed}\n</ul>\n</nav>\n{rest}</main>\n</body>\n</html>\n'
+    )
+
+
+# ------------------------------------------------------------------------------------------------------------------------- parts
+
+
+def _parse_lookup(_, match, state):
+    state.append_token({"type": "lookup", "raw": " ".join(match["sought"].split())})
+    return match.end()
+
+
+def _is_number(cell):
+    return bool(re.fullmatch(r"[-+−]?[\d.]+(e[-+]?\d+)?( ?%)?|–|", cell))
+
+
+def _size(path, content):
+    """Width and height in pixels of the page."""
+    if path.suffix == ".png" and content[:8] == b"\x89PNG\r\n\x1a\n" and len(content) > 24:
+        return struct.unpack(">II", content[16:24])
+    box = re.search(rb'viewBox="[-\d.]+ [-\d.]+ ([\d.]+) ([\d.]+)"', content[:5000]) if path.suffix == ".svg" else None
+    if not box:
+        raise ValueError(f"{path} is no {path.suffix[1:].upper()} file: delete it, and make all makes it anew.")
+    return tuple(float(number) * 4 / 3 for number in box.groups())  # points to pixels
