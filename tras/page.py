@@ -18,33 +18,40 @@ _NUMBER = ' class="number"'
 
 STYLE = """\
 :root { color: #1a1a1a; background: #fff; font: 1.05rem/1.6 Georgia, "DejaVu Serif", serif; }
-body { max-width: 46rem; margin: 0 auto; padding: 1rem 1rem 4rem; overflow-wrap: break-word; }
-h1, h2, h3, h4 { line-height: 1.25; font-family: system-ui, "DejaVu Sans", sans-serif; }
+* { box-sizing: border-box; }
+body { max-width: 64rem; margin: 0 auto; padding: 1rem 1rem 4rem; overflow-wrap: break-word; }
+main > *, main > article { max-width: 44rem; } main > .scroll { max-width: 100%; }
+h1, h2, h3, h4, nav, table, .verdict { font-family: system-ui, "DejaVu Sans", sans-serif; }
+h1, h2, h3, h4 { line-height: 1.25; }
 h1 { font-size: 1.9rem; } h2 { font-size: 1.45rem; margin-top: 3rem; border-bottom: 1px solid #bbb; padding-bottom: .2rem; }
 h3 { font-size: 1.15rem; margin-top: 2rem; } h4 { font-size: 1rem; margin: 0 0 .4rem; }
-a { color: #0b4a8f; } a:focus-visible, .scroll:focus-visible { outline: 2px solid #0b4a8f; }
+a { color: #0b4a8f; } a:focus-visible, .scroll:focus-visible, .equation:focus-visible { outline: 2px solid #0b4a8f; }
 code { font-size: .88em; background: #f3f3f3; padding: 0 .2em; } pre { background: #f3f3f3; padding: .7rem; overflow-x: auto; }
-nav { border: 1px solid #ccc; padding: .5rem 1.2rem 1rem; font-family: system-ui, "DejaVu Sans", sans-serif; font-size: .95rem; }
-nav ul { margin: .3rem 0; padding-left: 1.2rem; } nav h2 { margin: .5rem 0; border: 0; font-size: 1.05rem; }
-figure { margin: 1.8rem 0; } figure img { display: block; width: 100%; max-width: 36rem; height: auto; margin: 0 auto; }
-figcaption, caption { font-size: .92rem; line-height: 1.45; text-align: left; color: #333; }
-figcaption { max-width: 36rem; margin: .6rem auto 0; } caption { padding-bottom: .5rem; }
-.scroll { overflow-x: auto; margin: 1.5rem 0; } .equation { display: flex; align-items: center; gap: 1rem; overflow-x: auto; margin: 1rem 0; padding: .2rem 0; }
-.equation math { flex: 1 0 auto; } math { font-size: 1.08em; }
-table { border-collapse: collapse; font: .85rem/1.4 system-ui, "DejaVu Sans", sans-serif; min-width: 60%; }
+nav { border: 1px solid #ccc; padding: .5rem 1.2rem 1rem; font-size: .95rem; }
+nav h2 { margin: .5rem 0; border: 0; font-size: 1.05rem; } nav > ul { columns: 18rem 2; } nav > ul > li { break-inside: avoid; }
+nav ul { margin: .3rem 0; padding-left: 1.2rem; }
+figure { margin: 1.8rem 0; } figure img { display: block; width: 100%; max-width: 36rem; height: auto; }
+figcaption, caption { font: .92rem/1.45 Georgia, "DejaVu Serif", serif; text-align: left; color: #333; }
+figcaption { max-width: 36rem; margin-top: .6rem; } caption { padding-bottom: .5rem; } caption > span { display: block; position: sticky; left: 0; max-width: min(42rem, calc(100vw - 2.2rem)); }
+.scroll { overflow-x: auto; margin: 1.5rem 0; }
+.equation { display: flex; align-items: center; gap: 1rem; overflow-x: auto; margin: 1rem 0; padding: .2rem 0; } .equation math { flex: 1 0 auto; }
+math { font-family: "Latin Modern Math", "STIX Two Math", "Cambria Math", "Libertinus Math", "DejaVu Math TeX Gyre", math; font-size: 1.08em; }
+table { border-collapse: collapse; font-size: .85rem; line-height: 1.4; }
 th, td { text-align: left; vertical-align: top; padding: .3rem .6rem; border-bottom: 1px solid #ddd; }
 thead th { border-bottom: 2px solid #555; vertical-align: bottom; } tbody th { font-weight: 600; }
-.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
-.prose td { min-width: 11rem; }
-.verdict { display: inline-block; font: bold .88rem/1.3 system-ui, "DejaVu Sans", sans-serif; padding: .1rem .5rem; border: 2px solid; background: #fff; }
+.numbers td { white-space: nowrap; } .numbers .number { text-align: right; font-variant-numeric: tabular-nums; }
+.numbers th[scope="row"] { min-width: 5.5rem; } .prose td { min-width: 8rem; } .prose td:last-child { min-width: 14rem; }
+.verdict { display: inline-block; font-weight: bold; font-size: .88rem; line-height: 1.3; padding: .1rem .5rem; border: 2px solid; background: #fff; }
 .reproduced { color: #0a5c36; } .named { color: #6b4a00; border-style: dashed; } .not { color: #8c1515; border-style: double; border-width: 4px; }
 .uncheckable { color: #444; border-style: dotted; }
 article { border-left: 3px solid #bbb; padding: .1rem 0 .1rem 1rem; margin: 1.6rem 0; } article p { margin: .35rem 0; }
 .lacking { border: 1px solid #777; padding: .5rem .8rem; background: #f7f7f7; }
 .details { font-size: .9rem; color: #333; }
 @media print {
-  body { max-width: none; padding: 0; font-size: 10pt; } .scroll, .equation { overflow: visible; } table { font-size: 7pt; } .prose td { min-width: 0; }
-  figure, article, tr { break-inside: avoid; } h2, h3 { break-after: avoid; } a { color: inherit; }
+  * { box-sizing: border-box; }
+body { max-width: none; padding: 0; font-size: 10pt; } .scroll, .equation { overflow: visible; } th[scope="row"], .prose td:last-child, .prose td { min-width: 0 !important; }
+  table { font-size: 7pt; } th, td { padding: .15rem .3rem; white-space: normal !important; } figure img { max-width: 28rem; } nav { display: none; }
+  figure, article, tr { break-inside: avoid; } h2, h3, caption { break-after: avoid; } a { color: inherit; }
 }
 """
 
@@ -70,23 +77,21 @@ def formula(tex, *, display=False):
     return f'<div class="equation" tabindex="0">{mathml}{number}</div>\n'
 
 
-def table(head, rows, caption, *, keys=1, prose=False):
+def table(head, rows, caption, *, keys=1, kind="numbers"):
     """A table whose first ``keys`` columns name the row; cells are HTML already, the caption too.
 
-    Cells that hold a number stand to the right, unless ``prose`` says that this is a table of sentences.
+    ``kind`` is "numbers" (columns of numbers stand to the right, no cell is broken), "prose" or "short": tables of sentences.
     """
+    right = [_NUMBER if i >= keys and kind == "numbers" and all(map(_is_number, column)) else "" for i, column in enumerate(zip(*rows))] or [""] * len(head)
+    titles = "".join(f'<th scope="col"{place}>{name}</th>' for name, place in zip(head, right))
     body = []
     for row in rows:
-        cells = [f'<th scope="row">{cell}</th>' for cell in row[:keys]]
-        cells += [f"<td{_NUMBER if _is_number(cell) and not prose else ''}>{cell}</td>" for cell in row[keys:]]
+        cells = [f'<th scope="row">{cell}</th>' for cell in row[:keys]] + [f"<td{place}>{cell}</td>" for cell, place in zip(row[keys:], right[keys:])]
         body.append(f"<tr>{''.join(cells)}</tr>")
-    numeric = [i >= keys and not prose and all(_is_number(row[i]) for row in rows) for i in range(len(head))]
-    titles = "".join(f'<th scope="col"{_NUMBER if right else ""}>{name}</th>' for name, right in zip(head, numeric))
-    kind = "prose" if prose else "numbers"
     label = escape(html.unescape(re.sub("<[^>]*>", "", caption)))
     return (
         f'<div class="scroll" tabindex="0" role="region" aria-label="{label}"><table class="{kind}">'
-        f"<caption>{caption}</caption>\n<thead><tr>{titles}</tr></thead>\n<tbody>\n" + "\n".join(body) + "\n</tbody></table></div>\n"
+        f"<caption><span>{caption}</span></caption>\n<thead><tr>{titles}</tr></thead>\n<tbody>\n" + "\n".join(body) + "\n</tbody></table></div>\n"
     )
 
 
@@ -166,8 +171,8 @@ def inline(convert, text):
 
 
 def frame(title, body, contents):
-    """The whole page: ``title`` is text, ``body`` HTML that begins with its h1, ``contents`` as from `converter`."""
-    first, rest = body.split("</h1>\n", 1)
+    """The whole page: ``title`` is text, ``body`` HTML with an h2 somewhere, ``contents`` as from `converter`."""
+    first, rest = re.split("(?=<h2)", body, maxsplit=1)
     chapters = []
     for level, identity, text in contents:
         link = f'<a href="#{identity}">{text}</a>'
@@ -180,7 +185,7 @@ def frame(title, body, contents):
         '<!DOCTYPE html>\n<html xmlns="http://www.w3.org/1999/xhtml" lang="en">\n<head>\n<meta charset="utf-8" />\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1" />\n'
         "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\" />\n"
-        f'<title>{escape(title)}</title>\n<link rel="icon" href="data:," />\n<style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n{first}</h1>\n'
+        f'<title>{escape(title)}</title>\n<link rel="icon" href="data:," />\n<style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n{first}'
         f'<nav aria-label="Contents">\n<h2>Contents</h2>\n<ul>\n{listed}\n</ul>\n</nav>\n{rest}</main>\n</body>\n</html>\n'
     )
 

@@ -1,43 +1,21 @@
 """The whole replication as one page that opens without network: `make report`.
 
-The story is docs/report.md. In it ``{{ FILE: WHAT where COLUMN=VALUE | FORMAT }}`` stands for a number of a table, a fenced block (``figure``,
-``table``, ``compare``, ``claims``, ``errors``, ``readings``, ``plant``, ``provenance``) for what is made here. A section whose files are
-missing says so in one sentence. ``python -m tras.report build/paper/report.html --data data --figures figures --build build/paper``
+The story is docs/report.md. Its numbers are looked up in the tables (`tras.lookups`); a fenced block (``figure``, ``table``, ``compare``, ``claims``,
+``errors``, ``readings``, ``plant``, ``provenance``) with YAML in it stands for what is made here. A section whose files are missing says so in one sentence.
+
+``python -m tras.report build/paper/report.html --data data --figures figures --build build/paper``
 """
 
 import argparse
-import functools
 import json
-import math
 import re
 import sys
 from pathlib import Path
-from typing import NamedTuple
 
-from tras import claims, files, page
+from tras import claims, files, lookups, page
+from tras.lookups import Lacking, Sources, number
 
 _SIGNS = {claims.REPRODUCED: ("✓", "reproduced"), claims.NAMED: ("◐", "named"), claims.NOT: ("✗", "not"), claims.UNCHECKABLE: ("?", "uncheckable")}
-_LOOKUP = re.compile(r"(?P<file>[^:]+): (?P<what>.+?)(?: where (?P<where>.+?))?(?: \| (?P<format>\S+))?")
-
-
-class Lacking(ValueError):
-    """Something that a section needs is not there; the sentence says what, and which command makes it."""
-
-
-class Sources(NamedTuple):
-    """Where the page's numbers and figures come from."""
-
-    data: Path
-    figures: Path
-    build: Path
-
-    def path(self, name):
-        """``data/x.csv`` or ``figures/x.csv`` as a file that exists."""
-        folder, _, rest = name.partition("/")
-        path = {"data": self.data, "figures": self.figures, "build": self.build}[folder] / rest
-        if not path.is_file():
-            raise Lacking(f"{name} is not there: `make all` makes it.")
-        return path
 
 
 def report(story, sources):
@@ -62,7 +40,7 @@ def report(story, sources):
     """
     contents, lacking, bodies = [], [], []
     sources = sources._replace(**{name: Path(path) for name, path in sources._asdict().items()})
-    convert = page.converter(lambda text: look_up(text, sources), lambda kind, spec: _block(kind, spec, sources, convert), contents)
+    convert = page.converter(lambda text: lookups.look_up(text, sources), lambda kind, spec: _block(kind, spec, sources, convert), contents)
     for section in re.split(r"^(?=#{1,3} )", story, flags=re.MULTILINE):
         heading, _, text = section.partition("\n")
         bodies.append(convert(heading))
@@ -75,76 +53,6 @@ def report(story, sources):
     # A link to a figure of a section that is not shown leads nowhere.
     body = re.sub(r'<a href="#(fig-[^"]*)">(.*?)</a>', lambda link: link[0] if f'id="{link[1]}"' in body else link[2], body)
     return page.frame(story.partition("\n")[0].lstrip("# "), body, contents), lacking
-
-
-# --- numbers of tables ---------------------------------------------------------------------------------------------------------
-
-
-def look_up(text, sources):
-    """``data/metrics.csv: max(nrmse) where angle=yaw, kind=window | .3g`` -> the number as text.
-
-    ``WHAT`` is a column, of which just one row must be chosen, or min, max, median, mean, sum, count of one; ``STAGE: NAME`` is a parameter
-    that this stage ran with.
-    """
-    match = _LOOKUP.fullmatch(text)
-    if not match:
-        raise ValueError(f"the story's {{{{ {text} }}}} is not understood: write FILE: WHAT where COLUMN=VALUE | FORMAT.")
-    where = dict(pair.split("=", 1) for pair in (match["where"] or "").split(", ") if pair)
-    if "/" not in match["file"]:
-        recorded = json.loads(sources.path(f"build/{match['file']}.json").read_text(encoding="utf-8"))["parameters"]
-        if match["what"] not in recorded:
-            raise Lacking(f"{match['file']} has no parameter `{match['what']}`.")
-        return number(recorded[match["what"]], match["format"] or "g")
-    return number(_total(_chosen(_frame(match["file"], sources), where, match["file"]), match["what"], match["file"]), match["format"] or "g")
-
-
-def number(value, spec="g"):
-    """A value of a table as text: formatted when it is a number, ``–`` when there is none."""
-    if isinstance(value, str):
-        return value
-    if value is None or math.isnan(value):
-        return "–"
-    return format(int(value), "d") if spec == "d" else format(value, spec)
-
-
-@functools.lru_cache(maxsize=64)
-def _read(path, _changed):
-    import pandas as pd
-
-    try:
-        return pd.read_csv(path)
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is no table ({error}): delete it, and make all makes it anew.") from None
-
-
-def _frame(name, sources):
-    path = sources.path(name)
-    return _read(path, path.stat().st_mtime_ns)
-
-
-def _chosen(frame, where, name):
-    """The rows that hold these values; numbers compare as numbers."""
-    for column, value in where.items():
-        own = _column(frame, column, name)
-        frame = frame[own == float(value) if own.dtype.kind in "if" else own.astype(str) == str(value)]
-    return frame
-
-
-def _column(frame, column, name):
-    if column not in frame:
-        raise Lacking(f"{name} has no column `{column}`.")
-    return frame[column]
-
-
-def _total(frame, what, name):
-    """A column's only value, or ``median(column)`` and the like."""
-    total, column = re.fullmatch(r"(?:(\w+)\()?([^()]+)\)?", what).groups()
-    values = _column(frame, column, name)
-    if total == "count":
-        return int(values.count())
-    if not len(values) or not total and len(values) > 1:
-        raise Lacking(f"{name} has {len(values)} rows for one number, `{what}`: was it made with other parameters?")
-    return values.agg(total) if total else values.iloc[0]
 
 
 # --- blocks --------------------------------------------------------------------------------------------------------------------
@@ -164,56 +72,33 @@ def _figure(spec, sources, inline):
 
 
 def _table(spec, sources, inline):
-    """``file, where`` choose; then ``columns`` (name: heading) lists them, ``first`` many, or ``rows, across, value`` summarise them."""
-    name = spec["file"]
-    frame, formats = _chosen(_frame(name, sources), spec.get("where", {}), name), spec.get("format", "g")
-    if "rows" in spec:
-        columns, rows = spec["rows"], _summarised(frame, spec, name)
-        head = [*columns.values(), *(spec.get("heading", "{}").format(f"{value:g}" if isinstance(value, float) else value) for value in rows[0])]
-        cells, keys = [[*map(number, key), *(number(value, formats) for value in values)] for key, values in rows[1:]], len(columns)
-    else:
-        head, keys = list(spec["columns"].values()), spec.get("keys", 1)
-        listed = zip(*(_column(frame, column, name) for column in spec["columns"]))
-        formats = [formats.get(column, "g") if isinstance(formats, dict) else formats for column in spec["columns"]]
-        cells = [[number(value, one) for value, one in zip(row, formats)] for row, _ in zip(listed, range(spec.get("first", len(frame))))]
-    return page.table(list(map(page.escape, head)), [list(map(page.escape, row)) for row in cells], inline(spec["caption"]), keys=keys)
+    head, rows, keys = lookups.table(spec, sources)
+    return page.table(list(map(page.escape, head)), [list(map(page.escape, row)) for row in rows], inline(spec["caption"]), keys=keys)
 
 
-def _summarised(frame, spec, name):
-    """What stands across, then for each group of ``rows`` its key and a number under each of these."""
-    rows = list(spec["rows"])
-    for column in (*rows, *([spec["across"]] if "across" in spec else [])):
-        _column(frame, column, name)
-    groups = list(frame.groupby(rows, sort=False))
-    if "across" not in spec:
-        return [list(spec["values"]), *((key, [_total(part, what, name) for what in spec["values"].values()]) for key, part in groups)]
-    across = list(dict.fromkeys(frame[spec["across"]]))
-    parts = [(key, [part[part[spec["across"]] == value] for value in across]) for key, part in groups]
-    return [across, *((key, [_total(cell, spec["value"], name) if len(cell) else None for cell in cells]) for key, cells in parts)]
-
-
-def _from_markdown(text, caption, inline, *, prose):
+def _from_markdown(text, caption, inline, *, kind):
     """A Markdown table of another module as one of this page."""
     head, _, *rows = ([inline(cell) for cell in line[2:-2].split(" | ")] for line in text.splitlines())
-    return page.table(head, rows, inline(caption), prose=prose)
+    return page.table(head, rows, inline(caption), kind=kind)
 
 
 def _compare(spec, sources, inline):
     from tras import tables
 
-    return _from_markdown(tables.markdown(tables.read(sources.path("figures/table.csv"))), spec["caption"], inline, prose=False)
+    shown = _from_markdown(tables.markdown(tables.read(sources.path("figures/table.csv"))), spec["caption"], inline, kind="numbers")
+    return re.sub(r"(<td[^>]*>\S+) \(", r"\1 <br />(", shown)  # the range below the median: seven columns are wide
 
 
 def _errors(spec, _, inline):
     from tras import errata
 
-    return _from_markdown(errata.markdown(errata.table()), spec["caption"], inline, prose=True)
+    return _from_markdown(errata.markdown(errata.table()), spec["caption"], inline, kind="prose")
 
 
 def _readings(spec, _, inline):
     from tras import readings
 
-    return _from_markdown(readings.markdown(), spec["caption"], inline, prose=True)
+    return _from_markdown(readings.markdown(), spec["caption"], inline, kind="prose")
 
 
 def _plant(spec, _, inline):
@@ -238,7 +123,7 @@ def _claims(spec, sources, inline):
     e = page.escape
     if spec.get("table"):
         cells = [[f'<a href="#claim-{e(row["claim"])}">{e(row["claim"])}</a>', e(row["statement"]), _verdict(row)] for row in rows]
-        return page.table(["claim", "the paper says", "verdict"], cells, inline(spec["caption"]), prose=True)
+        return page.table(["claim", "the paper says", "verdict"], cells, inline(spec["caption"]), kind="short")
     return "".join(_claim(row) for row in rows)
 
 
@@ -250,17 +135,21 @@ def _claim(row):
         f'<h4>{e(row["claim"])}: {e(row["statement"])}</h4>',
         f"<p>{_verdict(row)}</p>",
         f"<p>Reading: {e(row['reading'])}.</p>" if row["reading"] else "",
-        f"<p>{e(row['quantity'])}: <strong>{e(value + span)}</strong>.</p>" if row["quantity"] else "",
-        f"<p>{e(row['evidence'][:1].upper() + row['evidence'][1:])}.</p>",
+        f"<p>{e(_sentence(row['quantity']))}: <strong>{e(value + span)}</strong>.</p>" if row["quantity"] else "",
+        f"<p>{e(_sentence(row['evidence']))}.</p>",
         f'<p class="details">Figure: <a href="#fig-{e(figure)}">{e(row["figure"])}</a>.</p>' if figure else "",
         f'<p class="details">Made by <code>{e(row["command"])}</code>.</p>',
     ]
     return f'<article id="claim-{e(row["claim"])}">\n' + "\n".join(filter(None, parts)) + "\n</article>\n"
 
 
+def _sentence(text):
+    return text[:1].upper() + text[1:]
+
+
 def _provenance(spec, sources, inline):
     """What `tras.runner` recorded beside the executed notebooks: when and from which revision, then everything else, once where it is the same."""
-    records = {path.stem: _record(path) for path in sorted(sources.build.glob("[0-9]*.json")) if path.with_suffix(".ipynb").is_file()}
+    records = {path.stem: lookups.record(path) for path in sorted(sources.build.glob("[0-9]*.json")) if path.with_suffix(".ipynb").is_file()}
     if not records:
         raise Lacking("no stage has left a record beside its executed notebook: `make all` runs them.")
     e, rows, facts = page.escape, [], {}
@@ -273,14 +162,7 @@ def _provenance(spec, sources, inline):
             facts.setdefault(name, {}).setdefault(str(value), []).append(stage)
     listed = [[e(name), e(next(iter(found)) if len(found) == 1 else "; ".join(f"{v} ({', '.join(by)})" for v, by in found.items()))] for name, found in facts.items()]
     stages = page.table(["stage", "git revision", "started", "seconds"], rows, inline(spec["stages"]))
-    return stages + page.table(["what", "version or value"], listed, inline(spec["environment"]), prose=True)
-
-
-def _record(path):
-    try:
-        return dict(json.loads(path.read_text(encoding="utf-8")))
-    except (ValueError, TypeError):
-        raise ValueError(f"{path} is no record of a run: delete it, and make all runs the stage anew.") from None
+    return stages + page.table(["what", "version or value"], listed, inline(spec["environment"]), kind="prose")
 
 
 _BLOCKS = {

@@ -1,0 +1,176 @@
+"""Numbers for a text, looked up in the tables: ``{{ FILE: WHAT where COLUMN=VALUE, COLUMN=VALUE | FORMAT }}``.
+
+``FILE`` is ``data/NAME.csv`` or ``figures/NAME.csv``; ``WHAT`` a column, of which just one row must be chosen, or min, max, median, mean, sum or count of one;
+``FORMAT`` is Python's. ``STAGE: NAME`` is a parameter that this stage ran with, ``claims: NAME`` a limit of `tras.claims`.
+"""
+
+import functools
+import json
+import math
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+from tras import claims
+
+_LOOKUP = re.compile(r"(?P<file>[^:]+): (?P<what>.+?)(?: where (?P<where>.+?))?(?: \| (?P<format>\S+))?")
+
+
+class Lacking(ValueError):
+    """Something that a section needs is not there; the sentence says what, and which command makes it."""
+
+
+class Sources(NamedTuple):
+    """Where the page's numbers and figures come from."""
+
+    data: Path
+    figures: Path
+    build: Path
+
+    def path(self, name):
+        """``data/x.csv`` or ``figures/x.csv`` as a file that exists."""
+        folder, _, rest = name.partition("/")
+        path = {"data": self.data, "figures": self.figures, "build": self.build}[folder] / rest
+        if not path.is_file():
+            raise Lacking(f"{name} is not there: `make all` makes it.")
+        return path
+
+
+def look_up(text, sources):
+    """The number that ``text`` asks for, as text.
+
+    Parameters
+    ----------
+    text : str
+        For example ``data/metrics.csv: max(nrmse) where angle=yaw, kind=window | .3g``.
+    sources : Sources
+
+    Raises
+    ------
+    Lacking
+        If the file, the column, the row or the parameter is not there.
+    ValueError
+        If the text is not understood, or the file is damaged.
+    """
+    match = _LOOKUP.fullmatch(text)
+    if not match:
+        raise ValueError(f"{{{{ {text} }}}} is not understood: write FILE: WHAT where COLUMN=VALUE | FORMAT.")
+    name, what, spec = match["file"], match["what"], match["format"] or "g"
+    if name == "claims":
+        return number(getattr(claims, what), spec)
+    if "/" not in name:
+        recorded = record(sources.path(f"build/{name}.json")).get("parameters", {})
+        if what not in recorded:
+            raise Lacking(f"{name} has no parameter `{what}`.")
+        return number(recorded[what], spec)
+    where = dict(pair.split("=", 1) for pair in (match["where"] or "").split(", ") if pair)
+    return number(_total(_chosen(frame(name, sources), where, name), what, name), spec)
+
+
+def number(value, spec="g"):
+    """A value of a table as text: formatted when it is a number, ``–`` when there is none.
+
+    Examples
+    --------
+    >>> number(5.9, "#.3g"), number(float("nan")), number("yaw"), number(9.0, "d")
+    ('5.90', '–', 'yaw', '9')
+    """
+    if isinstance(value, str):
+        return value
+    if value is None or math.isnan(value):
+        return "–"
+    return format(int(value), "d") if spec == "d" else format(value, spec).rstrip(".")
+
+
+def record(path):
+    """What `tras.runner` wrote beside an executed notebook, as a dictionary."""
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except (ValueError, TypeError):
+        raise ValueError(f"{path} is no record of a run: delete it, and make all runs the stage anew.") from None
+
+
+def frame(name, sources):
+    """A table of the sources as a pandas.DataFrame; the same object for the same file."""
+    path = sources.path(name)
+    return _read(path, path.stat().st_mtime_ns)
+
+
+def table(spec, sources):
+    """A table of a table: some of its columns and rows, or a summary.
+
+    Parameters
+    ----------
+    spec : dict
+        ``file``; ``where`` (column: value) chooses rows. Then either ``columns`` (column: heading), ``first`` many, the first ``keys`` of which name the
+        row; or ``rows`` (column: heading) for the groups, and ``across`` (a column) with ``value`` or ``values`` (heading: value) for the numbers, a value
+        being like ``median(nrmse)``. ``format`` is one for all or, with ``columns``, column: format.
+    sources : Sources
+
+    Returns
+    -------
+    head : list of str
+    rows : list of list of str
+    keys : int
+        How many columns name the row.
+    """
+    name, formats = spec["file"], spec.get("format", "g")
+    chosen = _chosen(frame(name, sources), spec.get("where", {}), name)
+    if "rows" in spec:
+        across, groups = _summary(chosen, spec, name)
+        head = [*spec["rows"].values(), *(spec.get("heading", "{}").format(number(value)) for value in across)]
+        return head, [[*map(number, key), *(number(value, formats) for value in values)] for key, values in groups], len(spec["rows"])
+    chosen = chosen.head(spec.get("first", len(chosen)))
+    formats = [formats.get(column, "g") if isinstance(formats, dict) else formats for column in spec["columns"]]
+    rows = zip(*(_column(chosen, column, name) for column in spec["columns"]))
+    return list(spec["columns"].values()), [[*map(number, row, formats)] for row in rows], spec.get("keys", 1)
+
+
+# ------------------------------------------------------------------------------------------------------------------------- parts
+
+
+def _summary(chosen, spec, name):
+    """What stands across, and for each group of rows its key and the numbers below that."""
+    for column in (*spec["rows"], *([spec["across"]] if "across" in spec else [])):
+        _column(chosen, column, name)
+    groups = list(chosen.groupby(list(spec["rows"]), sort=False))
+    if "across" not in spec:
+        return list(spec["values"]), [(key, [_total(part, what, name) for what in spec["values"].values()]) for key, part in groups]
+    across = list(dict.fromkeys(chosen[spec["across"]]))
+    cells = [(key, [part[part[spec["across"]] == value] for value in across]) for key, part in groups]
+    return across, [(key, [_total(cell, spec["value"], name) if len(cell) else None for cell in row]) for key, row in cells]
+
+
+@functools.lru_cache(maxsize=64)
+def _read(path, _changed):
+    import pandas as pd
+
+    try:
+        return pd.read_csv(path)
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is no table ({error}): delete it, and make all makes it anew.") from None
+
+
+def _chosen(rows, where, name):
+    """The rows that hold these values; numbers compare as numbers."""
+    for column, value in where.items():
+        own = _column(rows, column, name)
+        rows = rows[own == float(value) if own.dtype.kind in "if" else own.astype(str) == str(value)]
+    return rows
+
+
+def _column(rows, column, name):
+    if column not in rows:
+        raise Lacking(f"{name} has no column `{column}`.")
+    return rows[column]
+
+
+def _total(rows, what, name):
+    """A column's only value, or ``median(column)`` and the like."""
+    total, column = re.fullmatch(r"(?:(\w+)\()?([^()]+)\)?", what).groups()
+    values = _column(rows, column, name)
+    if total == "count":
+        return int(values.count())
+    if not len(values) or not total and len(values) > 1:
+        raise Lacking(f"{name} has {len(values)} rows for one number, `{what}`: was it made with other parameters?")
+    return values.agg(total) if total else values.iloc[0]
