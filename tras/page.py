@@ -21,10 +21,10 @@ STYLE = """\
 * { box-sizing: border-box; }
 body { max-width: 64rem; margin: 0 auto; padding: 1rem 1rem 4rem; overflow-wrap: break-word; }
 main > *, main > article { max-width: 44rem; } main > .scroll { max-width: 100%; }
-h1, h2, h3, h4, nav, table, .verdict { font-family: system-ui, "DejaVu Sans", sans-serif; }
-h1, h2, h3, h4 { line-height: 1.25; }
+h1, h2, h3, nav, table, .verdict { font-family: system-ui, "DejaVu Sans", sans-serif; }
+h1, h2, h3 { line-height: 1.25; }
 h1 { font-size: 1.9rem; } h2 { font-size: 1.45rem; margin-top: 3rem; border-bottom: 1px solid #bbb; padding-bottom: .2rem; }
-h3 { font-size: 1.15rem; margin-top: 2rem; } h4 { font-size: 1rem; margin: 0 0 .4rem; }
+h3 { font-size: 1.15rem; margin-top: 2rem; } article h3 { font-size: 1rem; margin: 0 0 .4rem; }
 a { color: #0b4a8f; } a:focus-visible, .scroll:focus-visible, .equation:focus-visible { outline: 2px solid #0b4a8f; }
 code { font-size: .88em; background: #f3f3f3; padding: 0 .2em; } pre { background: #f3f3f3; padding: .7rem; overflow-x: auto; }
 nav { border: 1px solid #ccc; padding: .5rem 1.2rem 1rem; font-size: .95rem; }
@@ -140,7 +140,8 @@ def converter(lookup, block, contents):
 
         def heading(self, text, level, **_):
             taken = [identity for _, identity, _ in contents]
-            base = identity = re.sub(r"[^a-z0-9]+", "-", re.sub("<[^>]*>", "", text).lower()).strip("-") or "part"
+            plain = html.unescape(re.sub("<[^>]*>", "", text)).lower().replace("'", "")
+            base = identity = re.sub(r"[^a-z0-9]+", "-", plain).strip("-") or "part"
             while identity in taken:
                 identity = f"{base}-{sum(name.startswith(base) for name in taken) + 1}"
             if level in (2, 3):

@@ -85,7 +85,12 @@ def _from_markdown(text, caption, inline, *, kind):
 def _compare(spec, sources, inline):
     from tras import tables
 
-    shown = _from_markdown(tables.markdown(tables.read(sources.path("figures/table.csv"))), spec["caption"], inline, kind="numbers")
+    path = sources.path("figures/table.csv")
+    try:
+        text = tables.markdown(tables.read(path))
+    except (KeyError, TypeError, ValueError, IndexError, StopIteration):
+        raise ValueError(f"{path} is not the table paper against ours: delete it, and make all makes it anew.") from None
+    shown = _from_markdown(text, spec["caption"], inline, kind="numbers")
     return re.sub(r"(<td[^>]*>\S+) \(", r"\1 <br />(", shown)  # the range below the median: seven columns are wide
 
 
@@ -116,11 +121,12 @@ def _verdict(row):
 
 def _claims(spec, sources, inline):
     """All claims: in short with ``table: true``, each with its evidence without."""
-    path = sources.path("data/claims.csv")
+    path, e = sources.path("data/claims.csv"), page.escape
     rows = claims.read(path)
-    if not rows or set(claims.COLUMNS) - set(rows[0]):
-        raise ValueError(f"{path} has not the columns {', '.join(claims.COLUMNS)}: delete it, and make all makes it anew.")
-    e = page.escape
+    try:
+        rows = [{name: row[name].strip() for name in claims.COLUMNS} | {name: float(row[name] or "nan") for name in ("value", "low", "high")} for row in rows]
+    except (KeyError, AttributeError, ValueError):
+        raise ValueError(f"{path} is not the table of claims: delete it, and make all makes it anew.") from None
     if spec.get("table"):
         cells = [[f'<a href="#claim-{e(row["claim"])}">{e(row["claim"])}</a>', e(row["statement"]), _verdict(row)] for row in rows]
         return page.table(["claim", "the paper says", "verdict"], cells, inline(spec["caption"]), kind="short")
@@ -129,10 +135,10 @@ def _claims(spec, sources, inline):
 
 def _claim(row):
     e, figure = page.escape, Path(row["figure"]).stem
-    value, low, high = (number(float(row[name] or "nan"), ".4g") for name in ("value", "low", "high"))
+    value, low, high = (number(row[name], ".4g") for name in ("value", "low", "high"))
     span = f" ({low} to {high})" if "–" not in (low, high) and low != high else ""
     parts = [
-        f'<h4>{e(row["claim"])}: {e(row["statement"])}</h4>',
+        f'<h3>{e(row["claim"])}: {e(row["statement"])}</h3>',
         f"<p>{_verdict(row)}</p>",
         f"<p>Reading: {e(row['reading'])}.</p>" if row["reading"] else "",
         f"<p>{e(_sentence(row['quantity']))}: <strong>{e(value + span)}</strong>.</p>" if row["quantity"] else "",

@@ -1,0 +1,413 @@
+"""The report: nothing from the network, formulas as MathML, every number from a table, every sentence escaped; and in a browser."""
+
+import json
+import os
+import re
+import shutil
+import xml.etree.ElementTree as ElementTree
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tras import claims, errata, files, lookups, page, report, tables
+from tras.lookups import Lacking, Sources
+
+STORY = (files.project_root() / "docs" / "report.md").read_text(encoding="utf-8")
+DRAWN = re.findall(r"^name: (\w+)$", STORY, re.MULTILINE)
+SVG = '<svg xmlns="http://www.w3.org/2000/svg" width="252pt" height="144pt" viewBox="0 0 252 144"><rect width="200" height="100" fill="#06c" /></svg>'
+HOSTILE = '<script>alert(1)</script> & "quotes" \x07 $x$ {{ data/claims.csv: claim }} **bold**'
+NS = "{http://www.w3.org/1999/xhtml}"
+MATH = "{http://www.w3.org/1998/Math/MathML}"
+
+
+def write(path, rows, columns=None):
+    pd.DataFrame(rows, columns=columns).to_csv(path, index=False, float_format="%.10g", lineterminator="\n")
+
+
+def paper_tables(root, rng):
+    """What 02 to 04 write, as far as the report reads it."""
+    sources = [source for source in tables.COLUMNS if source[0] != "paper"]
+    metrics = pd.DataFrame(
+        [
+            {"recording": recording, "horizon": horizon, "angle": angle, "enr": rng.uniform(0, 0.1), "bfr": rng.uniform(90, 99), "nrmse": rng.uniform(1, 9),
+             "windows": 83, "diverged": 0, "kind": kind, "input": source[0], "model": source[1]}
+            for kind, horizon in (("window", 6), ("free run", 500)) for source in sources for recording in ("multisine 2", "multisine 3") for angle in ("yaw", "pitch")
+        ]
+    )  # fmt: skip
+    identification = pd.DataFrame(
+        [{"input": i, "model": m, "N": 7 + n, "pairs": 40000, "condition": 50.4 + n, "spectral_radius": 1.0 + n / 1000, "disagreement_phidot": 0.01 + n}
+         for n, (i, m) in enumerate(sources)]
+    )  # fmt: skip
+    write(root / "data" / "identification.csv", identification)
+    write(root / "figures" / "table.csv", tables.comparison(metrics, identification))
+    return metrics
+
+
+def study_tables(root, rng):
+    """What the studies write, small."""
+    data = root / "data"
+    rows = [(n, s, m, a, rng.uniform(), 0, "") for n in (0.0, 0.3) for s in (1, 2) for m in ("plain", "refined") for a in ("yaw", "pitch") if n or m == "plain"]
+    rows[-1] = (*rows[-1][:4], np.nan, 0, "logarithm")
+    write(data / "robustness_noise.csv", rows, ["noise", "seed", "method", "angle", "nrmse", "diverged", "failure"])
+    write(data / "robustness_sampling.csv", [(t, "linear", "one_step", "yaw", t) for t in (0.01, 0.2)], ["sampling_time", "dictionary", "predictor", "angle", "nrmse"])
+    write(data / "robustness_length.csv", [("plain", "linear", 7, 0, r, 1 / r) for r in (1.05, 200.0)], ["fit", "dictionary", "functions", "noise", "ratio", "failed"])
+    write(data / "residuals.csv", [("linear", 0.1, False), ("linear", 0.4, True)], ["model", "relative", "spurious"])
+    write(data / "parameters.csv", [("J", 0, 1, 1, 0.9, 1.1, 0.0)], ["parameter", "noise", "true", "value", "low", "high", "error"])
+    write(data / "benchmark_systems.csv", [("Lorenz", 1, "lifting", 20, 300, 1 / 30, 3.3)],
+          ["system", "noise", "method", "functions", "pairs", "sampling_time", "coefficient_error"])  # fmt: skip
+    options = ["input", "frequency_unit", "dictionary", "state", "horizon", "nrmse_range", "velocity_term", "angle_names"]
+    write(root / "figures" / "readings_nearest.csv", [[*["x"] * 7, names, 4.0, 5.0, 0.123] for names in ("words", "symbols")], [*options, "yaw", "pitch", "distance"])
+
+
+def claim_rows():
+    """One claim of each verdict; the last is hostile."""
+    row = {"statement": "it is so", "quantity": "an error (%)", "value": 1.2345678, "low": 1, "high": 2, "reading": "default", "evidence": "5 of 7",
+           "figure": "figures/horizon.png", "command": "make all"}  # fmt: skip
+    rows = [row | {"claim": f"C{i}", "verdict": verdict} for i, verdict in enumerate(claims.VERDICTS, 1)]
+    rows[-1] |= {"statement": HOSTILE, "evidence": HOSTILE, "quantity": "", "value": "", "low": "", "high": "", "figure": "", "reading": ""}
+    return rows
+
+
+def stage(root, name, **parameters):
+    record = {"parameters": parameters, "git": {"revision": "a" * 40, "dirty": False}, "python": "3.11.2", "packages": {"numpy": "2.4.6"},
+              "platform": "Linux <x>", "processor": "a processor", "threads": {"OMP_NUM_THREADS": "1"}, "started": "2026-01-02T03:04:05+00:00", "seconds": 1.25}  # fmt: skip
+    (root / "build" / f"{name}.json").write_text(json.dumps(record))
+    (root / "build" / f"{name}.ipynb").touch()
+
+
+@pytest.fixture(autouse=True, scope="module")
+def few_errors():
+    """The cheap ones; tests/test_errata.py computes them all."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(errata, "ERRORS", tuple(errata.ERRORS[i] for i in (5, 9, 10, 11)))
+        yield
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A folder with everything that the report can show, and the metrics behind its table."""
+    root, rng = tmp_path_factory.mktemp("whole"), np.random.default_rng(0)
+    for name in ("data", "figures", "build"):
+        (root / name).mkdir()
+    metrics = paper_tables(root, rng)
+    study_tables(root, rng)
+    write(root / "data" / "claims.csv", claim_rows(), list(claims.COLUMNS))
+    for name in DRAWN:
+        (root / "figures" / f"{name}.svg").write_text(SVG)
+    stage(root, "01_data_generation", pitch_max_frequency=0.2, pitch_peak=1.22173, yaw_max_frequency=0.8, yaw_peak=3.14159, duration=500.0, sampling_time=0.01)
+    stage(root, "02_identification")
+    return root, metrics
+
+
+@pytest.fixture
+def copy(whole, tmp_path):
+    return Path(shutil.copytree(whole[0], tmp_path / "copy"))
+
+
+def sources(root):
+    return Sources(root / "data", root / "figures", root / "build")
+
+
+@pytest.fixture(scope="module")
+def shown(whole):
+    """(the page as text, as XML)"""
+    text, lacking = report.report(STORY, sources(whole[0]))
+    assert lacking == []
+    return text, ElementTree.fromstring(text.removeprefix("<!DOCTYPE html>\n"))
+
+
+def run(root, *more):
+    arguments = [str(root / "report.html"), *(f"--{name}={root / name}" for name in ("data", "figures", "build")), *more]
+    return report.main(arguments), root / "report.html"
+
+
+def text_of(element):
+    return " ".join("".join(element.itertext()).split())
+
+
+def by_id(tree, identity):
+    return next(element for element in tree.iter() if element.get("id") == identity)
+
+
+def after(tree, identity, tag):
+    """The first element of a kind after the heading with this id."""
+    body = list(tree.iter())
+    return next(element for element in body[body.index(by_id(tree, identity)) :] if element.tag == NS + tag)
+
+
+def cells(table):
+    return [[text_of(cell) for cell in row] for row in table.iter(NS + "tr")]
+
+
+# --- the page ------------------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_loaded_from_elsewhere(shown):
+    found = []
+
+    class Parser(HTMLParser):
+        def handle_starttag(self, tag, attributes):
+            assert tag not in ("script", "iframe", "object", "embed", "base")
+            for name, value in attributes:
+                assert not name.startswith("on"), name
+                if name in ("src", "href", "srcset", "data", "poster"):
+                    found.append((tag, name, value))
+
+    Parser().feed(shown[0])
+    assert sum(tag == "img" for tag, _, _ in found) == len(DRAWN)
+    for tag, name, value in found:
+        assert value.startswith("data:") or tag == "a" and value.startswith(("#", "https://")), (tag, name, value[:60])
+    assert not re.search(r"url\(|@import", page.STYLE)
+
+
+def test_formulas_are_mathml(shown):
+    """Browsers draw an element with a wrong number of parts as an error, or in a row."""
+    text, tree = shown
+    formulas = list(tree.iter(MATH + "math"))
+    written = len(re.findall(r"\$\$[^$]+\$\$", STORY)) + len(re.findall(r"\$[^$\n]+\$", re.sub(r"\$\$[^$]+\$\$", "", STORY)))
+    assert len(formulas) >= written > 40
+    parts = dict.fromkeys(("msup", "msub", "mover", "munder", "mfrac", "mroot"), 2) | dict.fromkeys(("msubsup", "munderover"), 3)
+    for formula in formulas:
+        for element in formula.iter():
+            assert len(element) == parts.get(element.tag.removeprefix(MATH), len(element)), ElementTree.tostring(formula, "unicode")
+    for article in list(tree.iter(NS + "article")):
+        article.clear()  # claims are shown as they are, with any sign
+    left = text_of(by_id(tree, "verdicts")) + text_of(tree.find(f"{NS}body/{NS}main")).replace(" ".join(HOSTILE.replace("\x07", "\ufffd").split()), "")
+    assert "$" not in left and not re.search(r"\\[a-zA-Z]|\{\{|\}\}", left)
+    for number in ("(7)", "(14)", "(15)", "(18)", "(19)", "(20)", "(21)"):
+        assert f"<span>{number}</span>" in text
+
+
+@pytest.fixture
+def tree(shown):
+    return ElementTree.fromstring(shown[0].removeprefix("<!DOCTYPE html>\n"))
+
+
+def test_every_claim_stands_there_with_its_verdict_in_words(tree):
+    overview = cells(after(tree, "verdicts", "table"))
+    for row, line in zip(claim_rows(), overview[1:], strict=True):
+        article = by_id(tree, f"claim-{row['claim']}")
+        expected = " ".join(row["statement"].replace("\x07", "\ufffd").split())
+        for text in (text_of(article), " ".join(line)):
+            assert expected in text and re.search(rf"[✓◐✗?] {row['verdict']}", text), text
+    assert "1.235 (1 to 2)" in text_of(by_id(tree, "claim-C1")) and "5 of 7" in text_of(by_id(tree, "claim-C1"))
+    assert "Of 4, 1 are reproduced, 1 are reproduced only under a named reading" in text_of(after(tree, "verdicts", "caption"))
+
+
+def test_the_table_paper_against_ours_is_that_of_tables(whole, tree):
+    lines = tables.markdown(tables.read(whole[0] / "figures" / "table.csv")).splitlines()
+    assert cells(after(tree, "paper-against-ours", "table")) == [line[2:-2].split(" | ") for line in lines if "---" not in line]
+
+
+def test_numbers_in_sentences_are_those_of_the_metrics(whole, tree):
+    """Medians computed here a second time from what `tables.comparison` was given."""
+    chosen = whole[1][whole[1]["kind"] == "window"]
+    points = [text_of(point) for point in after(tree, "in-short", "ul")]
+    pairs = [("reference", "gaussian"), ("reference", "linear")], [("torque", "gaussian"), ("torque", "linear")], [("torque", "mechanical")]
+    for point, sources_of, digits in zip(points, pairs, (3, 3, 2), strict=True):
+        expected = [
+            chosen[(chosen["input"] == i) & (chosen["model"] == m) & (chosen["angle"] == angle)]["nrmse"].median() for i, m in sources_of for angle in ("yaw", "pitch")
+        ]
+        assert re.findall(r"([\d.]+) %", point) == [f"{value:#.{digits}g}" for value in expected]
+    assert "4.0589 % for yaw and 5.5889 % for pitch" in text_of(tree)
+    assert "0.2 rad/s and 1.222 rad in pitch, 0.8 rad/s and 3.142 rad in yaw" in text_of(tree)
+
+
+def test_summaries_of_studies(whole, tree):
+    noise = pd.read_csv(whole[0] / "data" / "robustness_noise.csv")
+    head, *rows = cells(after(tree, "measurement-noise", "table"))
+    assert head == ["angle", "fit", "noise 0 %", "noise 0.3 %"]
+    for angle, method, *values in rows:
+        for level, value in zip((0, 0.3), values, strict=True):
+            own = noise[(noise["angle"] == angle) & (noise["method"] == method) & (noise["noise"] == level)]["nrmse"]
+            assert value == (f"{own.median():#.3g}" if own.notna().any() else "–")
+    assert len(rows) == 4
+    assert cells(after(tree, "length-of-the-data", "table"))[1] == ["0", "linear", "7", "95%", "0%"]
+    assert cells(after(tree, "eigenpairs", "table"))[1] == ["linear", "2", "1", "0.25"]
+    assert cells(after(tree, "the-readings-nearest-to-the-paper", "table"))[1][-4:] == ["words", "4.00", "5.00", "0.123"]
+
+
+def test_provenance_is_that_of_the_records(tree):
+    assert cells(after(tree, "where-the-numbers-come-from", "table"))[1] == ["01_data_generation", "a" * 12, "2026-01-02T03:04:05+00:00", "1.2"]
+    assert "Linux <x>" in text_of(tree)
+
+
+def test_the_page_can_be_walked_and_read_aloud(tree):
+    identities = [element.get("id") for element in tree.iter() if element.get("id")]
+    assert len(identities) == len(set(identities))
+    links = [a.get("href") for a in tree.iter(NS + "a")]
+    assert {link[1:] for link in links if link.startswith("#")} <= set(identities)
+    headings = [int(element.tag[-1]) for element in tree.iter() if re.fullmatch(NS + "h[1-6]", element.tag)]
+    assert headings.count(1) == 1 and headings[0] == 1 and all(b - a <= 1 for a, b in zip(headings, headings[1:]))
+    assert len(tree.findall(f".//{NS}nav//{NS}li")) == len(re.findall("^##", STORY, re.MULTILINE))
+    assert tree.get("lang") == "en"
+    for image in tree.iter(NS + "img"):
+        assert len(image.get("alt")) > 30 and int(image.get("width")) == 336 and int(image.get("height")) == 192
+    for table in tree.iter(NS + "table"):
+        assert text_of(table.find(NS + "caption"))
+        assert all(cell.get("scope") == ("col" if cell in list(table.find(f"{NS}thead/{NS}tr")) else "row") for cell in table.iter(NS + "th"))
+
+
+# --- what can be wrong ---------------------------------------------------------------------------------------------------------
+
+
+def test_what_comes_from_files_is_text(shown, tree):
+    assert "<script" not in shown[0] and "<b>" not in shown[0]
+    assert text_of(by_id(tree, "claim-C4")).count("<script>alert(1)</script>") == 2
+    assert "**bold**" in text_of(by_id(tree, "claim-C4")) and "{{ data/claims.csv: claim }}" in text_of(by_id(tree, "claim-C4"))
+
+
+@given(st.text())
+def test_escaped_text_is_what_it_was(text):
+    element = ElementTree.fromstring(f'<a b="{page.escape(text)}">{page.escape(text)}</a>'.encode("utf-8", "replace"))
+    kept = re.sub("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]", "\ufffd", text).encode("utf-8", "replace").decode()
+    assert (element.text or "") == kept.replace("\r\n", "\n").replace("\r", "\n")
+
+
+@pytest.mark.parametrize("name, heading", [
+    ("data/claims.csv", "Verdicts"), ("figures/table.csv", "In short"), ("figures/robustness_noise.svg", "Measurement noise"),
+    ("data/robustness_sampling.csv", "Sampling time"), ("data/parameters.csv", "The rig's parameters"), ("build/01_data_generation.json", "The experiment"),
+])  # fmt: skip
+def test_a_missing_file_is_one_sentence(copy, capsys, name, heading):
+    (copy / name).unlink()
+    code, written = run(copy)
+    output = capsys.readouterr()
+    assert code == 0 and f"not shown: {name} is not there: `make all` makes it." in output.err and "Traceback" not in output.err
+    text = written.read_text(encoding="utf-8")
+    section = text.split(f">{page.escape(heading)}</h")[-1].split("<h2")[0].split("<h3")[0]
+    assert text_of(ElementTree.fromstring(re.search('<p class="lacking">.*?</p>', section)[0])) == f"This part is not shown: {name} is not there: make all makes it."
+    assert "The logarithm" in text and "figcaption" in text
+    tree = ElementTree.fromstring(text.removeprefix("<!DOCTYPE html>\n"))
+    assert {a.get("href")[1:] for a in tree.iter(NS + "a")} <= {element.get("id") for element in tree.iter()}
+
+
+DAMAGED = [
+    ("data/claims.csv", "claim\nC1\n", "is not the table of claims: delete it"),
+    ("data/identification.csv", "\0\0", "identification.csv"),
+    ("figures/table.csv", "kind\nwindow\n", "table.csv is not the table paper against ours: delete it"),
+    ("figures/fig1_rig.svg", "no picture", "fig1_rig.svg is no SVG file: delete it"),
+    ("build/02_identification.json", "{", "02_identification.json is no record of a run: delete it"),
+]
+
+
+@pytest.mark.parametrize("name, content, message", DAMAGED, ids=[name for name, _, _ in DAMAGED])
+def test_a_damaged_file_is_named(copy, capsys, name, content, message):
+    (copy / "report.html").write_text("the page before")
+    (copy / name).write_text(content)
+    code, written = run(copy)
+    error = capsys.readouterr().err
+    assert message in error and "Traceback" not in error
+    if code:
+        assert code == 1 and len(error.splitlines()) == 1
+        assert written.read_text() == "the page before" and not list(copy.glob(".report*"))
+
+
+def test_missing_folders_and_places_to_write(copy, capsys):
+    shutil.rmtree(copy / "data")
+    assert run(copy)[0] == 2
+    assert "data does not exist; `make all` makes" in capsys.readouterr().err
+    assert run(copy, f"--data={copy / 'figures'}", f"--story={copy / 'none.md'}")[0] == 2
+    (copy / "report.html").mkdir()
+    assert run(copy, f"--data={copy / 'figures'}")[0] == 1
+    assert "report.html could not be written" in capsys.readouterr().err and not list(copy.glob(".report*"))
+
+
+def test_the_same_inputs_give_the_same_bytes(whole, shown, capsys):
+    code, written = run(whole[0])
+    assert code == 0 and written.read_text(encoding="utf-8") == shown[0]
+    assert str(written) in capsys.readouterr().out
+
+
+LOOKUPS = [
+    ("data/x.csv: v where k=a | .2f", "1.50"),
+    ("data/x.csv: v where n=2 | .3g", "2.5"),
+    ("data/x.csv: max(v)", "4"),
+    ("data/x.csv: median(v) where t=two words, k=b | #.3g", "3.25"),
+    ("data/x.csv: count(v) where k=none", "0"),
+    ("data/x.csv: sum(v) | d", "8"),
+    ("data/x.csv: k where n=3", "b"),
+    ("data/x.csv: e where n=1", "–"),
+    ("01_stage: duration | g", "500"),
+    ("claims: HIGH_BFR | g", "90"),
+]
+REFUSED = [
+    ("data/x.csv: v where k=b", Lacking, "data/x.csv has 2 rows for one number, `v`"),
+    ("data/x.csv: v where k=c", Lacking, "has 0 rows"),
+    ("data/x.csv: w", Lacking, "no column `w`"),
+    ("data/x.csv: v where w=1", Lacking, "no column `w`"),
+    ("data/y.csv: v", Lacking, "data/y.csv is not there: `make all` makes it"),
+    ("01_stage: durration", Lacking, "01_stage has no parameter `durration`"),
+    ("nonsense", ValueError, "{{ nonsense }} is not understood"),
+]
+
+
+@pytest.fixture
+def small(tmp_path):
+    for name in ("data", "figures", "build"):
+        (tmp_path / name).mkdir()
+    write(tmp_path / "data" / "x.csv", [("a", 1, "one", 1.5, None), ("b", 2, "two words", 2.5, None), ("b", 3, "two words", 4, None)], ["k", "n", "t", "v", "e"])
+    stage(tmp_path, "01_stage", duration=500.0)
+    return sources(tmp_path)
+
+
+@pytest.mark.parametrize("text, expected", LOOKUPS)
+def test_lookups(small, text, expected):
+    assert lookups.look_up(text, small) == expected
+
+
+@pytest.mark.parametrize("text, error, message", REFUSED)
+def test_lookups_that_find_nothing(small, text, error, message):
+    with pytest.raises(error) as caught:
+        lookups.look_up(text, small)
+    assert message in str(caught.value)
+
+
+def test_large_drawings_are_shown_as_png(tmp_path):
+    (tmp_path / "a.svg").write_text(SVG)
+    (tmp_path / "a.png").touch()
+    assert page.picture(tmp_path, "a").suffix == ".svg"
+    (tmp_path / "a.svg").write_text(SVG + " " * 500_000)
+    assert page.picture(tmp_path, "a").suffix == ".png"
+    (tmp_path / "a.svg").unlink()
+    assert page.picture(tmp_path, "a").suffix == ".png" and page.picture(tmp_path, "b") is None
+
+
+# --- in a browser --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def browser():
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs Playwright: uv pip install playwright (it is no dependency of the project)")
+    chromium = shutil.which("chromium")
+    if not chromium:
+        pytest.skip("needs Chromium: apt-get install chromium")
+    with playwright.sync_playwright() as started:
+        launched = started.chromium.launch(executable_path=chromium, args=["--no-sandbox"] if os.geteuid() == 0 else [])
+        yield launched
+        launched.close()
+
+
+@pytest.mark.parametrize("width", [390, 1200])
+def test_in_a_browser_without_network(browser, whole, shown, width):
+    written = whole[0] / "browser.html"
+    written.write_text(shown[0], encoding="utf-8")
+    context = browser.new_context(viewport={"width": width, "height": 844}, offline=True)
+    opened, requested, complaints = context.new_page(), [], []
+    opened.on("request", lambda request: requested.append(request.url))
+    opened.on("console", lambda message: complaints.append(message.text))
+    opened.on("pageerror", lambda error: complaints.append(str(error)))
+    opened.goto(written.as_uri())
+    assert [url for url in requested if not url.startswith("data:")] == [written.as_uri()] and complaints == []
+    assert opened.evaluate("[...document.images].filter(i => !(i.complete && i.naturalWidth > 0)).length") == 0
+    assert opened.evaluate("document.images.length") == len(DRAWN)
+    heights = opened.evaluate("[...document.querySelectorAll('math')].map(m => m.getBoundingClientRect().height)")
+    assert len(heights) > 40 and min(heights) > 5
+    fraction = opened.evaluate("document.querySelector('mfrac').getBoundingClientRect().height / document.querySelector('mfrac mi, mfrac mn').getBoundingClientRect().height")
+    assert fraction > 1.5  # drawn one above the other, not in a row
+    assert opened.evaluate("document.documentElement.scrollWidth") <= width
+    context.close()
