@@ -51,13 +51,14 @@ def paper_tables(root, rng):
 def study_tables(root, rng):
     """What the studies write, small."""
     data = root / "data"
-    rows = [(n, s, m, a, rng.uniform(), 0, "") for n in (0.0, 0.3) for s in (1, 2) for m in ("plain", "refined") for a in ("yaw", "pitch") if n or m == "plain"]
+    rows = [(n, s, m, a, rng.uniform(), 0, "") for n in (0.0, 1.0) for s in (1, 2) for m in ("plain", "refined") for a in ("yaw", "pitch") if n or m == "plain"]
     rows[-1] = (*rows[-1][:4], np.nan, 0, "logarithm")
     write(data / "robustness_noise.csv", rows, ["noise", "seed", "method", "angle", "nrmse", "diverged", "failure"])
-    write(data / "robustness_sampling.csv", [(t, "linear", "one_step", "yaw", t) for t in (0.01, 0.2)], ["sampling_time", "dictionary", "predictor", "angle", "nrmse"])
-    write(data / "robustness_length.csv", [("plain", "linear", 7, 0, r, 1 / r) for r in (1.05, 200.0)], ["fit", "dictionary", "functions", "noise", "ratio", "failed"])
-    write(data / "residuals.csv", [("linear", 0.1, False), ("linear", 0.4, True)], ["model", "relative", "spurious"])
-    write(data / "parameters.csv", [("J", 0, 1, 1, 0.9, 1.1, 0.0)], ["parameter", "noise", "true", "value", "low", "high", "error"])
+    write(data / "robustness_sampling.csv", [(t, "mechanical", "vector_field", "yaw", t) for t in (0.01, 0.2)], ["sampling_time", "dictionary", "predictor", "angle", "nrmse"])
+    write(data / "robustness_length.csv", [("plain", "linear", 7, n, r, 1 / r, 0.25, n) for n in (0, 1) for r in (1.05, 200.0)],
+          ["fit", "dictionary", "functions", "noise", "ratio", "failed", "no_logarithm", "dependent"])
+    write(data / "residuals.csv", [("linear", 0.1, 1, False), ("linear", 0.4, 1, True), ("linear", 0, 0, False)], ["model", "relative", "residual", "spurious"])
+    write(data / "parameters.csv", [("J", n, 1, 1, 0.9, 1.1, e) for n, e in [(0, 0.5), (0, -0.75), (1, 2.0)]], ["parameter", "noise", "true", "value", "low", "high", "error"])
     write(data / "benchmark_systems.csv", [("Lorenz", 1, "lifting", 20, 300, 1 / 30, 3.3)],
           ["system", "noise", "method", "functions", "pairs", "sampling_time", "coefficient_error"])  # fmt: skip
     options = ["input", "frequency_unit", "dictionary", "state", "horizon", "nrmse_range", "velocity_term", "angle_names"]
@@ -75,9 +76,9 @@ def claim_rows():
 
 def stage(root, name, **parameters):
     record = {"parameters": parameters, "git": {"revision": "a" * 40, "dirty": False}, "python": "3.11.2", "packages": {"numpy": "2.4.6"},
-              "platform": "Linux <x>", "processor": "a processor", "threads": {"OMP_NUM_THREADS": "1"}, "started": "2026-01-02T03:04:05+00:00", "seconds": 1.25}  # fmt: skip
-    (root / "build" / f"{name}.json").write_text(json.dumps(record))
-    (root / "build" / f"{name}.ipynb").touch()
+              "platform": "Linux <x>", "processor": "a processor", "instructions": ["avx", "fma"], "environment": "b" * 64, "variables": {"OMP_NUM_THREADS": "1"}, "started": "2026-01-02T03:04:05+00:00", "seconds": 1.25}  # fmt: skip
+    (root / "paper" / f"{name}.json").write_text(json.dumps(record))
+    (root / "paper" / f"{name}.ipynb").touch()
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -92,7 +93,7 @@ def few_errors():
 def whole(tmp_path_factory):
     """A folder with everything that the report can show, and the metrics behind its table."""
     root, rng = tmp_path_factory.mktemp("whole"), np.random.default_rng(0)
-    for name in ("data", "figures", "build"):
+    for name in ("data", "figures", "paper"):
         (root / name).mkdir()
     metrics = paper_tables(root, rng)
     study_tables(root, rng)
@@ -110,7 +111,7 @@ def copy(whole, tmp_path):
 
 
 def sources(root):
-    return Sources(root / "data", root / "figures", root / "build")
+    return Sources(root / "data", root / "figures", root / "paper")
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +123,7 @@ def shown(whole):
 
 
 def run(root, *more):
-    arguments = [str(root / "report.html"), *(f"--{name}={root / name}" for name in ("data", "figures", "build")), *more]
+    arguments = [str(root / "report.html"), f"--data={root / 'data'}", f"--figures={root / 'figures'}", f"--build={root / 'paper'}", *more]
     return report.main(arguments), root / "report.html"
 
 
@@ -221,20 +222,22 @@ def test_numbers_in_sentences_are_those_of_the_metrics(whole, tree):
 def test_summaries_of_studies(whole, tree):
     noise = pd.read_csv(whole[0] / "data" / "robustness_noise.csv")
     head, *rows = cells(after(tree, "measurement-noise", "table"))
-    assert head == ["angle", "fit", "noise 0 %", "noise 0.3 %"]
+    assert head == ["angle", "fit", "noise 0 %", "noise 1 %"]
     for angle, method, *values in rows:
-        for level, value in zip((0, 0.3), values, strict=True):
+        for level, value in zip((0, 1), values, strict=True):
             own = noise[(noise["angle"] == angle) & (noise["method"] == method) & (noise["noise"] == level)]["nrmse"]
             assert value == (f"{own.median():#.3g}" if own.notna().any() else "–")
     assert len(rows) == 4
     assert cells(after(tree, "length-of-the-data", "table"))[1] == ["0", "linear", "7", "95%", "0%"]
+    assert "0.75 %, with noise of 1 % 2 %" in text_of(after(tree, "the-rigs-parameters", "p"))
+    assert "without noise 25% of the stretches" in text_of(after(tree, "length-of-the-data", "p"))
     assert cells(after(tree, "eigenpairs", "table"))[1] == ["linear", "2", "1", "0.25"]
     assert cells(after(tree, "the-readings-nearest-to-the-paper", "table"))[1][-4:] == ["words", "4.00", "5.00", "0.123"]
 
 
 def test_provenance_is_that_of_the_records(tree):
     assert cells(after(tree, "where-the-numbers-come-from", "table"))[1] == ["01_data_generation", "a" * 12, "2026-01-02T03:04:05+00:00", "1.2"]
-    assert "Linux <x>" in text_of(tree)
+    assert "Linux <x>" in text_of(tree) and "avx, fma" in text_of(tree)
 
 
 def test_the_page_can_be_walked_and_read_aloud(tree):
@@ -274,7 +277,7 @@ def test_escaped_text_is_what_it_was(text):
     ("data/robustness_sampling.csv", "Sampling time"), ("data/parameters.csv", "The rig's parameters"), ("build/01_data_generation.json", "The experiment"),
 ])  # fmt: skip
 def test_a_missing_file_is_one_sentence(copy, capsys, name, heading):
-    (copy / name).unlink()
+    (copy / name.replace("build/", "paper/")).unlink()
     code, written = run(copy)
     output = capsys.readouterr()
     assert code == 0 and f"not shown: {name} is not there: `make all` makes it." in output.err and "Traceback" not in output.err
@@ -291,7 +294,7 @@ DAMAGED = [
     ("data/identification.csv", "\0\0", "identification.csv"),
     ("figures/table.csv", "kind\nwindow\n", "table.csv is not the table paper against ours: delete it"),
     ("figures/fig1_rig.svg", "no picture", "fig1_rig.svg is no SVG file: delete it"),
-    ("build/02_identification.json", "{", "02_identification.json is no record of a run: delete it"),
+    ("paper/02_identification.json", "{", "02_identification.json is no record of a run: delete it"),
 ]
 
 
@@ -330,6 +333,8 @@ LOOKUPS = [
     ("data/x.csv: median(v) where t=two words, k=b | #.3g", "3.25"),
     ("data/x.csv: count(v) where k=none", "0"),
     ("data/x.csv: sum(v) | d", "8"),
+    ("data/x.csv: largest(s)", "3"),
+    ("data/x.csv: count(v) where n=>1", "2"),
     ("data/x.csv: k where n=3", "b"),
     ("data/x.csv: e where n=1", "–"),
     ("01_stage: duration | g", "500"),
@@ -348,9 +353,9 @@ REFUSED = [
 
 @pytest.fixture
 def small(tmp_path):
-    for name in ("data", "figures", "build"):
+    for name in ("data", "figures", "paper"):
         (tmp_path / name).mkdir()
-    write(tmp_path / "data" / "x.csv", [("a", 1, "one", 1.5, None), ("b", 2, "two words", 2.5, None), ("b", 3, "two words", 4, None)], ["k", "n", "t", "v", "e"])
+    write(tmp_path / "data" / "x.csv", [("a", 1, "one", 1.5, None, 2), ("b", 2, "two words", 2.5, None, -3), ("b", 3, "two words", 4, None, 1)], ["k", "n", "t", "v", "e", "s"])
     stage(tmp_path, "01_stage", duration=500.0)
     return sources(tmp_path)
 
@@ -375,6 +380,11 @@ def test_large_drawings_are_shown_as_png(tmp_path):
     assert page.picture(tmp_path, "a").suffix == ".png"
     (tmp_path / "a.svg").unlink()
     assert page.picture(tmp_path, "a").suffix == ".png" and page.picture(tmp_path, "b") is None
+
+
+def test_the_command_names_the_profile(small):
+    with pytest.raises(Lacking, match="`make all PROFILE=smoke` makes it"):
+        lookups.look_up("data/y.csv: v", small._replace(build=Path("build/smoke")))
 
 
 # --- in a browser --------------------------------------------------------------------------------------------------------------

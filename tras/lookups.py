@@ -1,6 +1,6 @@
 """Numbers for a text, looked up in the tables: ``{{ FILE: WHAT where COLUMN=VALUE, COLUMN=VALUE | FORMAT }}``.
 
-``FILE`` is ``data/NAME.csv`` or ``figures/NAME.csv``; ``WHAT`` a column, of which just one row must be chosen, or min, max, median, mean, sum or count of one;
+``FILE`` is ``data/NAME.csv`` or ``figures/NAME.csv``; ``WHAT`` a column, of which just one row must be chosen, or min, max, median, mean, sum, count or largest (in size) of one;
 ``FORMAT`` is Python's. ``STAGE: NAME`` is a parameter that this stage ran with, ``claims: NAME`` a limit of `tras.claims`.
 """
 
@@ -27,12 +27,17 @@ class Sources(NamedTuple):
     figures: Path
     build: Path
 
+    @property
+    def command(self):
+        """The command that makes everything of this profile, whose name is that of the folder ``build``."""
+        return "`make all`" if self.build.name == "paper" else f"`make all PROFILE={self.build.name}`"
+
     def path(self, name):
         """``data/x.csv`` or ``figures/x.csv`` as a file that exists."""
         folder, _, rest = name.partition("/")
         path = {"data": self.data, "figures": self.figures, "build": self.build}[folder] / rest
         if not path.is_file():
-            raise Lacking(f"{name} is not there: `make all` makes it.")
+            raise Lacking(f"{name} is not there: {self.command} makes it.")
         return path
 
 
@@ -152,9 +157,12 @@ def _read(path, _changed):
 
 
 def _chosen(rows, where, name):
-    """The rows that hold these values; numbers compare as numbers."""
+    """The rows that hold these values; numbers compare as numbers, and ``>0.5`` as a value means larger ones."""
     for column, value in where.items():
         own = _column(rows, column, name)
+        if str(value).startswith(">"):
+            rows = rows[own > float(value[1:])]
+            continue
         rows = rows[own == float(value) if own.dtype.kind in "if" else own.astype(str) == str(value)]
     return rows
 
@@ -173,4 +181,6 @@ def _total(rows, what, name):
         return int(values.count())
     if not len(values) or not total and len(values) > 1:
         raise Lacking(f"{name} has {len(values)} rows for one number, `{what}`: was it made with other parameters?")
+    if total == "largest":
+        return values.abs().max()
     return values.agg(total) if total else values.iloc[0]

@@ -67,7 +67,7 @@ def _block(kind, spec, sources, convert):
 def _figure(spec, sources, inline):
     path = page.picture(sources.figures, spec["name"])
     if path is None:
-        raise Lacking(f"figures/{spec['name']}.svg is not there: `make all` makes it.")
+        raise Lacking(f"figures/{spec['name']}.svg is not there: {sources.command} makes it.")
     return page.figure(path, " ".join(spec["alt"].split()), inline(spec["caption"]), f"fig-{spec['name']}")
 
 
@@ -157,18 +157,25 @@ def _provenance(spec, sources, inline):
     """What `tras.runner` recorded beside the executed notebooks: when and from which revision, then everything else, once where it is the same."""
     records = {path.stem: lookups.record(path) for path in sorted(sources.build.glob("[0-9]*.json")) if path.with_suffix(".ipynb").is_file()}
     if not records:
-        raise Lacking("no stage has left a record beside its executed notebook: `make all` runs them.")
+        raise Lacking(f"no stage has left a record beside its executed notebook: {sources.command} runs them.")
     e, rows, facts = page.escape, [], {}
     for stage, record in records.items():
         git = record.get("git") or {}
         revision = (git.get("revision") or "unknown")[:12] + (", with changes" if git.get("dirty") else "")
         rows.append([e(stage), f"<code>{e(revision)}</code>", e(record.get("started", "–")), e(number(record.get("seconds"), ".1f"))])
-        packages = record.get("packages", {}) | {name: record.get(name) for name in ("python", "platform", "processor")} | (record.get("threads") or {})
-        for name, value in packages.items():
-            facts.setdefault(name, {}).setdefault(str(value), []).append(stage)
+        for name, value in _environment(record).items():
+            facts.setdefault(name, {}).setdefault(value, []).append(stage)
     listed = [[e(name), e(next(iter(found)) if len(found) == 1 else "; ".join(f"{v} ({', '.join(by)})" for v, by in found.items()))] for name, found in facts.items()]
     stages = page.table(["stage", "git revision", "started", "seconds"], rows, inline(spec["stages"]))
     return stages + page.table(["what", "version or value"], listed, inline(spec["environment"]), kind="prose")
+
+
+def _environment(record):
+    """What a stage ran with, as far as its record says: name -> text."""
+    found = {name: record[name] for name in ("python", "platform", "processor") if name in record}
+    found |= {"vector instructions": ", ".join(record["instructions"])} if record.get("instructions") else {}
+    found |= {"SHA-256 of environment.txt": record["environment"]} if record.get("environment") else {}
+    return {name: str(value) for name, value in (found | record.get("variables", {}) | record.get("packages", {})).items()}
 
 
 _BLOCKS = {
