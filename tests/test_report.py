@@ -197,7 +197,7 @@ def test_every_claim_stands_there_with_its_verdict_in_words(tree):
         for text in (text_of(article), " ".join(line)):
             assert expected in text and re.search(rf"[✓◐✗?] {row['verdict']}", text), text
     assert "1.235 (1 to 2)" in text_of(by_id(tree, "claim-C1")) and "5 of 7" in text_of(by_id(tree, "claim-C1"))
-    assert "Of 4, 1 are reproduced, 1 are reproduced only under a named reading" in text_of(after(tree, "verdicts", "caption"))
+    assert "Of 4: reproduced 1, reproduced only under a named reading of the text 1, not reproduced 1, not checkable 1." in text_of(after(tree, "verdicts", "caption"))
 
 
 def test_the_table_paper_against_ours_is_that_of_tables(whole, tree):
