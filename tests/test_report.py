@@ -21,6 +21,7 @@ STORY = (files.project_root() / "docs" / "report.md").read_text(encoding="utf-8"
 DRAWN = re.findall(r"^name: (\w+)$", STORY, re.MULTILINE)
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" width="252pt" height="144pt" viewBox="0 0 252 144"><rect width="200" height="100" fill="#06c" /></svg>'
 HOSTILE = '<script>alert(1)</script> & "quotes" \x07 $x$ {{ data/claims.csv: claim }} **bold**'
+SHOWN_HOSTILE = HOSTILE.replace("\x07", "\ufffd")
 NS = "{http://www.w3.org/1999/xhtml}"
 MATH = "{http://www.w3.org/1998/Math/MathML}"
 
@@ -116,10 +117,19 @@ def sources(root):
 
 @pytest.fixture(scope="module")
 def shown(whole):
-    """(the page as text, as XML)"""
     text, lacking = report.report(STORY, sources(whole[0]))
     assert lacking == []
-    return text, ElementTree.fromstring(text.removeprefix("<!DOCTYPE html>\n"))
+    return text
+
+
+@pytest.fixture(scope="module")
+def tree(shown):
+    return parsed(shown)
+
+
+def parsed(text):
+    """The page as XML."""
+    return ElementTree.fromstring(text.removeprefix("<!DOCTYPE html>\n"))
 
 
 def run(root, *more):
@@ -159,16 +169,15 @@ def test_nothing_is_loaded_from_elsewhere(shown):
                 if name in ("src", "href", "srcset", "data", "poster"):
                     found.append((tag, name, value))
 
-    Parser().feed(shown[0])
+    Parser().feed(shown)
     assert sum(tag == "img" for tag, _, _ in found) == len(DRAWN)
     for tag, name, value in found:
         assert value.startswith("data:") or tag == "a" and value.startswith(("#", "https://")), (tag, name, value[:60])
     assert not re.search(r"url\(|@import", page.STYLE)
 
 
-def test_formulas_are_mathml(shown):
+def test_formulas_are_mathml(shown, tree):
     """Browsers draw an element with a wrong number of parts as an error, or in a row."""
-    text, tree = shown
     formulas = list(tree.iter(MATH + "math"))
     written = len(re.findall(r"\$\$[^$]+\$\$", STORY)) + len(re.findall(r"\$[^$\n]+\$", re.sub(r"\$\$[^$]+\$\$", "", STORY)))
     assert len(formulas) >= written > 40
@@ -176,24 +185,17 @@ def test_formulas_are_mathml(shown):
     for formula in formulas:
         for element in formula.iter():
             assert len(element) == parts.get(element.tag.removeprefix(MATH), len(element)), ElementTree.tostring(formula, "unicode")
-    for article in list(tree.iter(NS + "article")):
-        article.clear()  # claims are shown as they are, with any sign
-    left = text_of(by_id(tree, "verdicts")) + text_of(tree.find(f"{NS}body/{NS}main")).replace(" ".join(HOSTILE.replace("\x07", "\ufffd").split()), "")
+    left = text_of(tree.find(f"{NS}body/{NS}main")).replace(SHOWN_HOSTILE, "")  # what a file holds is shown as it is
     assert "$" not in left and not re.search(r"\\[a-zA-Z]|\{\{|\}\}", left)
     for number in ("(7)", "(14)", "(15)", "(18)", "(19)", "(20)", "(21)"):
-        assert f"<span>{number}</span>" in text
-
-
-@pytest.fixture
-def tree(shown):
-    return ElementTree.fromstring(shown[0].removeprefix("<!DOCTYPE html>\n"))
+        assert f"<span>{number}</span>" in shown
 
 
 def test_every_claim_stands_there_with_its_verdict_in_words(tree):
     overview = cells(after(tree, "verdicts", "table"))
     for row, line in zip(claim_rows(), overview[1:], strict=True):
         article = by_id(tree, f"claim-{row['claim']}")
-        expected = " ".join(row["statement"].replace("\x07", "\ufffd").split())
+        expected = row["statement"] if row["statement"] != HOSTILE else SHOWN_HOSTILE
         for text in (text_of(article), " ".join(line)):
             assert expected in text and re.search(rf"[✓◐✗?] {row['verdict']}", text), text
     assert "1.235 (1 to 2)" in text_of(by_id(tree, "claim-C1")) and "5 of 7" in text_of(by_id(tree, "claim-C1"))
@@ -240,6 +242,18 @@ def test_provenance_is_that_of_the_records(tree):
     assert "Linux <x>" in text_of(tree) and "avx, fma" in text_of(tree)
 
 
+def test_a_record_without_its_notebook_is_no_run(copy):
+    (copy / "paper" / "02_identification.ipynb").unlink()
+    assert len(cells(after(parsed(report.report(STORY, sources(copy))[0]), "where-the-numbers-come-from", "table"))) == 2
+
+
+def test_headings_that_are_alike_have_names_of_their_own():
+    contents = []
+    text = page.converter(None, None, contents)("# A\n\n## It's so\n\n## It's so\n\n### *It* is\n")
+    assert contents == [(2, "its-so", "It&#x27;s so"), (2, "its-so-2", "It&#x27;s so"), (3, "it-is", "<em>It</em> is")]
+    assert '<h2 id="its-so-2">' in text
+
+
 def test_the_page_can_be_walked_and_read_aloud(tree):
     identities = [element.get("id") for element in tree.iter() if element.get("id")]
     assert len(identities) == len(set(identities))
@@ -260,7 +274,7 @@ def test_the_page_can_be_walked_and_read_aloud(tree):
 
 
 def test_what_comes_from_files_is_text(shown, tree):
-    assert "<script" not in shown[0] and "<b>" not in shown[0]
+    assert "<script" not in shown and "<b>" not in shown
     assert text_of(by_id(tree, "claim-C4")).count("<script>alert(1)</script>") == 2
     assert "**bold**" in text_of(by_id(tree, "claim-C4")) and "{{ data/claims.csv: claim }}" in text_of(by_id(tree, "claim-C4"))
 
@@ -274,7 +288,7 @@ def test_escaped_text_is_what_it_was(text):
 
 @pytest.mark.parametrize("name, heading", [
     ("data/claims.csv", "Verdicts"), ("figures/table.csv", "In short"), ("figures/robustness_noise.svg", "Measurement noise"),
-    ("data/robustness_sampling.csv", "Sampling time"), ("data/parameters.csv", "The rig's parameters"), ("build/01_data_generation.json", "The experiment"),
+    ("data/robustness_sampling.csv", "Sampling time"), ("data/parameters.csv", "The rig's parameters"), ("figures/horizon.svg", "How the error grows"), ("build/01_data_generation.json", "The experiment"),
 ])  # fmt: skip
 def test_a_missing_file_is_one_sentence(copy, capsys, name, heading):
     (copy / name.replace("build/", "paper/")).unlink()
@@ -285,7 +299,7 @@ def test_a_missing_file_is_one_sentence(copy, capsys, name, heading):
     section = text.split(f">{page.escape(heading)}</h")[-1].split("<h2")[0].split("<h3")[0]
     assert text_of(ElementTree.fromstring(re.search('<p class="lacking">.*?</p>', section)[0])) == f"This part is not shown: {name} is not there: make all makes it."
     assert "The logarithm" in text and "figcaption" in text
-    tree = ElementTree.fromstring(text.removeprefix("<!DOCTYPE html>\n"))
+    tree = parsed(text)
     assert {a.get("href")[1:] for a in tree.iter(NS + "a")} <= {element.get("id") for element in tree.iter()}
 
 
@@ -322,7 +336,7 @@ def test_missing_folders_and_places_to_write(copy, capsys):
 
 def test_the_same_inputs_give_the_same_bytes(whole, shown, capsys):
     code, written = run(whole[0])
-    assert code == 0 and written.read_text(encoding="utf-8") == shown[0]
+    assert code == 0 and written.read_text(encoding="utf-8") == shown
     assert str(written) in capsys.readouterr().out
 
 
@@ -405,7 +419,7 @@ def browser():
 @pytest.mark.parametrize("width", [390, 1200])
 def test_in_a_browser_without_network(browser, whole, shown, width):
     written = whole[0] / "browser.html"
-    written.write_text(shown[0], encoding="utf-8")
+    written.write_text(shown, encoding="utf-8")
     context = browser.new_context(viewport={"width": width, "height": 844}, offline=True)
     opened, requested, complaints = context.new_page(), [], []
     opened.on("request", lambda request: requested.append(request.url))
@@ -414,7 +428,8 @@ def test_in_a_browser_without_network(browser, whole, shown, width):
     opened.goto(written.as_uri())
     assert [url for url in requested if not url.startswith("data:")] == [written.as_uri()] and complaints == []
     assert opened.evaluate("[...document.images].filter(i => !(i.complete && i.naturalWidth > 0)).length") == 0
-    assert opened.evaluate("document.images.length") == len(DRAWN)
+    drawn = opened.evaluate("[...document.images].map(i => i.getBoundingClientRect().width)")
+    assert len(drawn) == len(DRAWN) and all(340 < size <= width for size in drawn)  # wider than they are, as wide as there is room
     heights = opened.evaluate("[...document.querySelectorAll('math')].map(m => m.getBoundingClientRect().height)")
     assert len(heights) > 40 and min(heights) > 5
     fraction = opened.evaluate("document.querySelector('mfrac').getBoundingClientRect().height / document.querySelector('mfrac mi, mfrac mn').getBoundingClientRect().height")
