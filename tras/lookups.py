@@ -1,7 +1,8 @@
 """Numbers for a text, looked up in the tables: ``{{ FILE: WHAT where COLUMN=VALUE, COLUMN=VALUE | FORMAT }}``.
 
-``FILE`` is ``data/NAME.csv`` or ``figures/NAME.csv``; ``WHAT`` a column, of which just one row must be chosen, or min, max, median, mean, sum, count or largest (in size) of one;
-``FORMAT`` is Python's. ``STAGE: NAME`` is a parameter that this stage ran with, ``claims: NAME`` a limit of `tras.claims`.
+``FILE`` is ``data/NAME.csv`` or ``figures/NAME.csv``; ``WHAT`` a column, of which just one row must be chosen, or min, max, median, mean, sum, count
+or largest (in size) of one, like ``median(nrmse)``; ``FORMAT`` is Python's.
+``STAGE: NAME`` is a parameter that this stage ran with, ``claims: NAME`` a limit of `tras.claims`.
 """
 
 import functools
@@ -107,9 +108,9 @@ def table(spec, sources):
     Parameters
     ----------
     spec : dict
-        ``file``; ``where`` (column: value) chooses rows. Then either ``columns`` (column: heading), ``first`` many, the first ``keys`` of which name the
-        row; or ``rows`` (column: heading) for the groups, and ``across`` (a column) with ``value`` or ``values`` (heading: value) for the numbers, a value
-        being like ``median(nrmse)``. ``format`` is one for all or, with ``columns``, column: format.
+        ``file``; ``where`` (column: value) chooses rows. Then either ``columns`` (column: heading), the first ``keys`` of which name the row, and
+        ``first`` many rows; or ``rows`` (column: heading) for the groups, and ``across`` (a column) with ``value`` or ``values`` (heading: value)
+        for the numbers, a value being like ``median(nrmse)``. ``format`` is one for all or, with ``columns``, column: format.
     sources : Sources
 
     Returns

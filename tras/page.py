@@ -32,7 +32,8 @@ nav h2 { margin: .5rem 0; border: 0; font-size: 1.05rem; } nav > ul { columns: 1
 nav ul { margin: .3rem 0; padding-left: 1.2rem; }
 figure { margin: 1.8rem 0; } figure img { display: block; width: 100%; max-width: 36rem; height: auto; }
 figcaption, caption { font: .92rem/1.45 Georgia, "DejaVu Serif", serif; text-align: left; color: #333; }
-figcaption { max-width: 36rem; margin-top: .6rem; } caption { padding-bottom: .5rem; } caption > span { display: block; position: sticky; left: 0; max-width: min(42rem, calc(100vw - 2.2rem)); }
+figcaption { max-width: 36rem; margin-top: .6rem; } caption { padding-bottom: .5rem; }
+caption > span { display: block; position: sticky; left: 0; max-width: min(42rem, calc(100vw - 2.2rem)); }
 .scroll { overflow-x: auto; margin: 1.5rem 0; }
 .equation { display: flex; align-items: center; gap: 1rem; overflow-x: auto; margin: 1rem 0; padding: .2rem 0; } .equation math { flex: 1 0 auto; }
 math { font-family: "Latin Modern Math", "STIX Two Math", "Cambria Math", "Libertinus Math", "DejaVu Math TeX Gyre", math; font-size: 1.08em; }
@@ -49,7 +50,8 @@ article { border-left: 3px solid #bbb; padding: .1rem 0 .1rem 1rem; margin: 1.6r
 .details { font-size: .9rem; color: #333; }
 @media print {
   * { box-sizing: border-box; }
-body { max-width: none; padding: 0; font-size: 10pt; } .scroll, .equation { overflow: visible; } th[scope="row"], .prose td:last-child, .prose td { min-width: 0 !important; }
+:root { font-size: 10pt; } body { max-width: none; padding: 0; } .scroll, .equation { overflow: visible; }
+  th[scope="row"], .prose td:last-child, .prose td { min-width: 0 !important; }
   table { font-size: 7pt; } th, td { padding: .15rem .3rem; white-space: normal !important; } figure img { max-width: 28rem; } nav { display: none; }
   figure, article, tr { break-inside: avoid; } h2, h3, caption { break-after: avoid; } a { color: inherit; }
 }
@@ -82,7 +84,8 @@ def table(head, rows, caption, *, keys=1, kind="numbers"):
 
     ``kind`` is "numbers" (columns of numbers stand to the right, no cell is broken), "prose" or "short": tables of sentences.
     """
-    right = [_NUMBER if i >= keys and kind == "numbers" and all(map(_is_number, column)) else "" for i, column in enumerate(zip(*rows))] or [""] * len(head)
+    columns = list(zip(*rows)) or [()] * len(head)
+    right = [_NUMBER if i >= keys and kind == "numbers" and column and all(map(_is_number, column)) else "" for i, column in enumerate(columns)]
     titles = "".join(f'<th scope="col"{place}>{name}</th>' for name, place in zip(head, right))
     body = []
     for row in rows:
@@ -107,10 +110,9 @@ def figure(path, alt, caption, identity):
     width, height = _size(path, content)
     kind = {".svg": "svg+xml", ".png": "png"}[path.suffix]
     data = base64.b64encode(content).decode()
-    return (
-        f'<figure id="{escape(identity)}"><img src="data:image/{kind};base64,{data}" width="{width:.0f}" height="{height:.0f}" alt="{escape(alt)}" />\n'
-        f"<figcaption>{caption}</figcaption></figure>\n"
-    )
+    size = f'width="{width:.0f}" height="{height:.0f}"'
+    image = f'<img src="data:image/{kind};base64,{data}" {size} alt="{escape(alt)}" />'
+    return f'<figure id="{escape(identity)}">{image}\n<figcaption>{caption}</figcaption></figure>\n'
 
 
 def picture(folder, name):

@@ -1,7 +1,8 @@
 """The whole replication as one page that opens without network: `make report`.
 
 The story is docs/report.md. Its numbers are looked up in the tables (`tras.lookups`); a fenced block (``figure``, ``table``, ``compare``, ``claims``,
-``errors``, ``readings``, ``plant``, ``provenance``) with YAML in it stands for what is made here. A section whose files are missing says so in one sentence.
+``errors``, ``readings``, ``plant``, ``provenance``) with YAML in it stands for what is made here.
+A section whose files are missing says so in one sentence.
 
 ``python -m tras.report build/paper/report.html --data data --figures figures --build build/paper``
 """
@@ -15,7 +16,7 @@ from pathlib import Path
 from tras import claims, files, lookups, page
 from tras.lookups import Lacking, Sources, number
 
-_SIGNS = {claims.REPRODUCED: ("✓", "reproduced"), claims.NAMED: ("◐", "named"), claims.NOT: ("✗", "not"), claims.UNCHECKABLE: ("?", "uncheckable")}
+_SIGNS = dict(zip(claims.VERDICTS, (("✓", "reproduced"), ("◐", "named"), ("✗", "not"), ("?", "uncheckable"))))
 
 
 def report(story, sources):
@@ -124,7 +125,8 @@ def _claims(spec, sources, inline):
     path, e = sources.path("data/claims.csv"), page.escape
     rows = claims.read(path)
     try:
-        rows = [{name: row[name].strip() for name in claims.COLUMNS} | {name: float(row[name] or "nan") for name in ("value", "low", "high")} for row in rows]
+        rows = [{name: row[name].strip() for name in claims.COLUMNS} for row in rows]
+        rows = [row | {name: float(row[name] or "nan") for name in ("value", "low", "high")} for row in rows]
     except (KeyError, AttributeError, ValueError):
         raise ValueError(f"{path} is not the table of claims: delete it, and make all makes it anew.") from None
     if spec.get("table"):
@@ -165,7 +167,8 @@ def _provenance(spec, sources, inline):
         rows.append([e(stage), f"<code>{e(revision)}</code>", e(record.get("started", "–")), e(number(record.get("seconds"), ".1f"))])
         for name, value in _environment(record).items():
             facts.setdefault(name, {}).setdefault(value, []).append(stage)
-    listed = [[e(name), e(next(iter(found)) if len(found) == 1 else "; ".join(f"{v} ({', '.join(by)})" for v, by in found.items()))] for name, found in facts.items()]
+    several = {name: "; ".join(f"{value} ({', '.join(by)})" for value, by in found.items()) for name, found in facts.items()}
+    listed = [[e(name), e(next(iter(found)) if len(found) == 1 else several[name])] for name, found in facts.items()]
     stages = page.table(["stage", "git revision", "started", "seconds"], rows, inline(spec["stages"]))
     return stages + page.table(["what", "version or value"], listed, inline(spec["environment"]), kind="prose")
 
