@@ -39,6 +39,7 @@ def test_delays_are_compared_from_the_same_instant():
     models = [tras.KoopmanModel(tras.Monomials(1), "one_step", delays) for delays in (0, 1, 2)]
     model, table = tras.choose(position, models[:2])
     assert model.delays == 1 and table["error"].iloc[1] < 1e-9 < 0.1 < table["error"].iloc[0]
+    assert list(table["candidate"]) == ["Monomials(degree=1)", "Monomials(degree=1), 1 delays"]
     again = tras.choose(position, models)[1]
     assert again["error"].iloc[1] < 1e-9
 

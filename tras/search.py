@@ -45,8 +45,8 @@ def choose(recording, models=None):
     model : KoopmanModel
         Fitted to the whole recording.
     table : pandas.DataFrame
-        One row a candidate: ``model, functions, strength, error`` (root mean square in half-ranges of the states, a sample counts 10 at most; infinite
-        without a model), ``chosen, failure`` (empty, or why there is no model).
+        One row a candidate: ``candidate`` (its dictionary, delays if any), ``functions, strength, error`` (root mean square in half-ranges of the states, a
+        sample counts 10 at most; infinite without a model), ``chosen, failure`` (empty, or why there is no model), ``model`` (the estimator, unfitted).
 
     Raises
     ------
@@ -80,13 +80,19 @@ def choose(recording, models=None):
         except ValueError as reason:
             failure = str(reason)
         functions = len(trial.names_) if hasattr(trial, "names_") else np.nan
-        rows.append([model, functions, getattr(trial, "strength_", np.nan), error, False, failure])
-    table = pd.DataFrame(rows, columns=["model", "functions", "strength", "error", "chosen", "failure"])
+        rows.append([_label(model), functions, getattr(trial, "strength_", np.nan), error, False, failure, model])
+    table = pd.DataFrame(rows, columns=["candidate", "functions", "strength", "error", "chosen", "failure", "model"])
     if np.isinf(table["error"]).all():
         raise ValueError(f"none of the {len(models)} candidates could be fitted; the last one because: {table['failure'].iloc[-1]}")
     best = int(table["error"].to_numpy().argmin())
     table.loc[best, "chosen"] = True
     return clone(models[best]).fit(recording), table
+
+
+def _label(model):
+    """A candidate in one line."""
+    delays = getattr(model, "delays", 0)
+    return " ".join(repr(getattr(model, "dictionary", model)).split()) + (f", {delays} delays" if delays else "")
 
 
 def _error(model, held, latest):
