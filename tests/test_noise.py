@@ -5,7 +5,7 @@ import pytest
 from conftest import ode_recording
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import integrate, optimize, stats
+from scipy import integrate, linalg, optimize, stats
 
 import tras
 from tras import refinement, smoothing
@@ -70,6 +70,17 @@ def test_noise_level_follows_the_units(units, seed):
 
 
 # -------------------------------------------------------------------------------------------------------------------- smoothing
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+def test_integrated_noise_against_its_integral(order):
+    """Transition exp(N) and covariance: the integral of exp(N s) e e^T exp(N s)^T over one sample, N the shift, e the last unit vector."""
+    A, Q = smoothing._integrated_noise(order)
+    shift = np.eye(order, k=1)
+    assert np.allclose(A, linalg.expm(shift))
+    points, weights = np.polynomial.legendre.leggauss(10)
+    columns = [linalg.expm(shift * (s + 1) / 2)[:, -1] for s in points]
+    assert np.allclose(Q, sum(w / 2 * np.outer(c, c) for w, c in zip(weights, columns)), rtol=1e-12)
 
 
 def dense_covariance(samples, order, channels, deviation, intensity):
