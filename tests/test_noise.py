@@ -251,6 +251,18 @@ def test_refining_brings_the_field_near_the_truth(swing):
     assert not hasattr(model, "refinement_") and "refined on whole trajectories" in refined.report()
 
 
+def test_a_bad_first_guess_is_followed_in_shorter_pieces(swing, monkeypatch):
+    noisy = tras.add_noise(swing, 0.02, 0)
+    model = tras.KoopmanModel(tras.Mechanical(5)).fit(tras.smooth(noisy, [("q", "v")]))
+    model.W_ = model.W_ * [[1.0], [1.6]]
+    tried, shooting = [], refinement._Shooting
+    monkeypatch.setattr(refinement, "_Shooting", lambda m, r, rows, segment: tried.append(segment) or shooting(m, r, rows, segment))
+    refined = tras.refine(model, noisy, iterations=12)
+    assert tried == [400, 251, 126, 63][: len(tried)] and len(tried) > 1
+    assert refined.refinement_[0] <= 2 or tried[-1] == 63
+    assert refined.refinement_[-1] == pytest.approx(1, abs=0.1)
+
+
 def test_a_refined_model_is_kept_and_forgets_it_when_it_learns_more(scalar, tmp_path):
     _, noisy, model = scalar
     refined = tras.refine(model, noisy, iterations=1)

@@ -42,6 +42,11 @@ def test_delays_are_compared_from_the_same_instant():
     assert list(table["candidate"]) == ["Monomials(degree=1)", "Monomials(degree=1), 1 delays"]
     again = tras.choose(position, models)[1]
     assert again["error"].iloc[1] < 1e-9
+    # Without delays too the prediction begins at the third sample when another model needs two before it.
+    train, held = hold_out(position)
+    late = tras.Recording(held.states[:, 2:], held.inputs[:, 2:], 0.1)
+    error = (models[0].fit(train).predict(late) - late.states) / (np.ptp(held.states) / 2)
+    assert again["error"].iloc[0] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
 
 
 def test_what_cannot_be_fitted_says_why_and_the_rest_compete(torque_data):
