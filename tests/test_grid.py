@@ -115,12 +115,14 @@ def test_a_damaged_file_is_said_and_computed_again(computed, tmp_path, capsys, k
     folder = copied(folder, tmp_path)
     victim = next(folder.glob(f"{kind}-*"))
     victim.write_bytes(spoil(victim.read_bytes()))
+    (folder / ".point-0.abcdefgh.json").write_text("what a killed run was writing")
     if kind == "recording":  # read only when a point is missing
         next(folder.glob("point-*")).unlink()
         fits = 1
     again, counts = run(folder)
     assert counts["computed"] == fits and again.equals(table)
     assert f"{victim.name} in the cache is damaged: computed again." in capsys.readouterr().err
+    assert not list(folder.glob(".*"))
 
 
 def test_a_killed_run_goes_on_where_it_was(computed, tmp_path, monkeypatch):

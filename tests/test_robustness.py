@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+import scipy.stats
 from test_figures import visible_texts
 
 import tras
@@ -82,7 +83,8 @@ def test_parameters_with_intervals(noise):
     np.testing.assert_allclose(table["error"], 100 * (table["value"] / table["true"] - 1))
     clean, noisy = (table[table["noise"] == level] for level in (0.0, 1.0))
     assert (clean["error"].abs() < 0.5).all() and (noisy["error"].abs() < 5).all()
-    assert (table["low"] < table["value"]).all() and (table["value"] < table["high"]).all()
+    reach = scipy.stats.norm.ppf(0.975) * table["standard_error"]
+    assert np.allclose(table["value"] - table["low"], reach, rtol=1e-3) and np.allclose(table["high"] - table["value"], reach, rtol=1e-3)
     assert (noisy["standard_error"].to_numpy() > 10 * clean["standard_error"].to_numpy()).all()
 
 

@@ -37,6 +37,12 @@ def place(folder, kind, options, code, suffix=".json"):
     return Path(folder) / f"{kind}-{digest(json.dumps([options, code], sort_keys=True))}{suffix}"
 
 
+def clear_temporaries(folder):
+    """Remove what a killed run was writing; only while nobody else works in the folder."""
+    for path in Path(folder).glob(".*"):
+        path.unlink(missing_ok=True)
+
+
 def write(path, options, value):
     """Store ``value``, anything that JSON holds (NaN as null), with the options it belongs to."""
     value = _without_nan(value)

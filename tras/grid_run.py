@@ -29,7 +29,7 @@ def run(study, folder, *, only=None, processes=2, progress=None):
     ----------
     study : Study
     folder : str or Path
-        Of the cache. What is found there is not computed again.
+        Of the cache, for one run at a time. What is found there is not computed again.
     only : dict, optional
         As in `points`.
     processes : int
@@ -46,6 +46,7 @@ def run(study, folder, *, only=None, processes=2, progress=None):
         ``computed, cached``: points whose fit was computed, or found in the cache.
     """
     folder, wanted = Path(folder), grid.points(study, only)
+    cache.clear_temporaries(folder)
     places = [_place_of_point(folder, study, point) for point in wanted]
     found = {_name(point): cache.read(*place) for point, place in zip(wanted, places)}
     missing = [point for point in wanted if found[_name(point)] is None]
