@@ -49,7 +49,7 @@ ROBUSTNESS_DRAWN := robustness_noise robustness_length eigenfunctions parameters
 # The paper's own part is what `make paper` builds; the studies beyond it belong to `make all`. A study needs one name in STUDIES, one
 # list of outputs in STUDY_OUTPUTS and one line `$(eval $(call stage,...))` at the end.
 PAPER_STAGES := 01_data_generation 02_identification 03_validation 04_figures
-STUDIES := 05_robustness 06_readings 08_claims
+STUDIES := 05_robustness 06_readings 07_comparison 08_claims
 STAGES := $(PAPER_STAGES) $(STUDIES)
 OUT_01 := $(addprefix $(DATA)/,train.nc validation_multisine.nc validation_steps.nc validation_chirp.nc)
 OUT_02 := $(addprefix $(DATA)/,held_out.nc identification.csv spectrum.csv $(MODELS:%=models/%.npz))
@@ -57,10 +57,12 @@ OUT_03 := $(addprefix $(DATA)/,metrics.csv horizon.csv overlay.csv)
 OUT_04 := $(addprefix $(FIGURES)/,$(foreach kind,pdf svg png csv,$(DRAWN:%=%.$(kind))) table.csv)
 OUT_05 := $(ROBUSTNESS:%=$(DATA)/%.csv) $(addprefix $(FIGURES)/,$(foreach kind,pdf svg png csv,$(ROBUSTNESS_DRAWN:%=%.$(kind))))
 OUT_06 := $(DATA)/readings.csv $(foreach kind,pdf svg png csv,$(FIGURES)/readings_effects.$(kind) $(FIGURES)/readings_nearest.$(kind))
+OUT_07 := $(addprefix $(DATA)/,comparison.csv comparison_tuning.csv comparison_data.csv) \
+  $(foreach kind,pdf svg png csv,$(addprefix $(FIGURES)/,comparison_horizon.$(kind) comparison_data.$(kind) comparison_pareto.$(kind)))
 OUT_08 := $(DATA)/claims.csv
 
 PAPER_OUTPUTS := $(OUT_01) $(OUT_02) $(OUT_03) $(OUT_04)
-STUDY_OUTPUTS := $(OUT_05) $(OUT_06) $(OUT_08)
+STUDY_OUTPUTS := $(OUT_05) $(OUT_06) $(OUT_07) $(OUT_08)
 
 STAMPS := $(STAGES:%=$(BUILD)/%.ipynb)
 KEYS := $(STAGES:%=$(BUILD)/%.key)
@@ -130,6 +132,7 @@ endif
 readme: $(READY) ## write the table into README.md, the errors into docs/paper.md
 	@$(MAKE) PROFILE=paper stages
 	@$(PY) -m tras.tables figures/table.csv --readme README.md
+	@$(PY) -m tras.comparison_table data/comparison.csv --readme README.md
 	@$(PY) -m tras.claims data/claims.csv --readme README.md
 	@$(PY) -m tras.errata docs/paper.md
 	@$(PY) -m tras.readings docs/paper.md
@@ -189,4 +192,5 @@ $(eval $(call stage,03_validation,$(OUT_03),01_data_generation 02_identification
 $(eval $(call stage,04_figures,$(OUT_04),01_data_generation 02_identification 03_validation))
 $(eval $(call stage,05_robustness,$(OUT_05),01_data_generation))
 $(eval $(call stage,06_readings,$(OUT_06),))
-$(eval $(call stage,08_claims,$(OUT_08),02_identification 03_validation 05_robustness 06_readings))
+$(eval $(call stage,07_comparison,$(OUT_07),01_data_generation))
+$(eval $(call stage,08_claims,$(OUT_08),02_identification 03_validation 05_robustness 06_readings 07_comparison))
