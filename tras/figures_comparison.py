@@ -2,9 +2,12 @@
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from tras.figures import require, styled
 
+LINEAR = "DMDc"
+FAR = 4.0  # a method so many times worse than the median one does not stretch the axis; nor does the grey box below it
 WIDE = 7.0  # inches, two columns: eleven methods need their names beside them
 STYLES = {
     "DMDc": ("o", "#000000", "-"),
@@ -24,7 +27,7 @@ _UNKNOWN = ("o", "#000000", "-")
 
 @styled()
 def horizon_figure(table):
-    """Median NRMSE over the multisines against the length of the prediction, a panel an input and angle.
+    """Median NRMSE over the multisines against the length of the prediction, divided by that of the linear model (DMDc), a panel an input and angle.
 
     Parameters
     ----------
@@ -38,9 +41,13 @@ def horizon_figure(table):
     require(table, "table", ["method", "input", "angle", "horizon", "nrmse", "diverged"])
     horizons = sorted(table["horizon"].unique())
     ticks = ["1 sample", *[f"{h:g} s" for h in horizons[1:]]]
-    figure, panels = _panels(["reference", "torque"], 5.6)
+    figure, panels = _panels(["reference", "torque"], 5.6, "NRMSE over that of DMDc")
+    linear = table[table["method"] == LINEAR].set_index(["input", "angle", "horizon"])["nrmse"]
+    if linear.empty:
+        raise ValueError(f"table has no method {LINEAR!r}, to which the others are related; compare it too.")
     for (column, row), axes in panels.items():
         part = table[(table["input"] == column) & (table["angle"] == row)]
+        part = part.assign(nrmse=part["nrmse"] / [linear.get((column, row, h), np.nan) for h in part["horizon"]])
         _lines(axes, {name: ([horizons.index(h) for h in rows["horizon"]], rows["nrmse"], rows["diverged"]) for name, rows in part.groupby("method", sort=False)}, ticks)
     return figure
 
@@ -58,7 +65,8 @@ def data_figure(table):
     -------
     matplotlib.figure.Figure
     """
-    require(table, "table", ["method", "angle", "noise", "smoothed", "fraction", "nrmse", "diverged"])
+    require(table, "table", ["method", "input", "angle", "noise", "smoothed", "fraction", "nrmse", "diverged"])
+    table = table[table["input"] == (table.loc[table["noise"] > 0, "input"].iloc[0] if (table["noise"] > 0).any() else table["input"].iloc[0])]
     clean, whole = table[table["noise"] == 0], table[table["fraction"] == table["fraction"].max()]
     figure, panels = _panels(["share of the training data", "noise in the training data"], 5.6)
     for (column, row), axes in panels.items():
@@ -98,6 +106,11 @@ def pareto_figure(table):
             axes.plot(count, error, marker=marker, color=colour, linestyle="none", markersize=5)
             ends.append((name, count, error))
         axes.set(xscale="log", yscale="log")
+        axes.set_xlim(part["parameters"].min() / 1.5, part["parameters"].max() * 1.3)
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter("")
+        _limit(axes, {name: [error] for name, _, error in ends})
         _label(axes, ends)
     figure.supxlabel("number of parameters", fontsize=8)
     return figure
@@ -120,14 +133,14 @@ def _over_realisations(table, by):
     return groups.agg(nrmse=("nrmse", "median"), low=("nrmse", "min"), high=("nrmse", "max"), **counts).reset_index()
 
 
-def _panels(columns, height):
+def _panels(columns, height, label="NRMSE (%)"):
     """A wide figure: {(column, angle): axes}, one row an angle."""
     figure = Figure(figsize=(WIDE, height), layout="constrained")
     axes = figure.subplots(2, len(columns), sharex="col")
     panels = {(column, angle): axes[i, j] for i, angle in enumerate(("yaw", "pitch")) for j, column in enumerate(columns)}
     for (column, angle), panel in panels.items():
         panel.set_title(f"{column}, {angle}")
-        panel.set_ylabel("NRMSE (%)")
+        panel.set_ylabel(label)
     return figure, panels
 
 
@@ -147,26 +160,43 @@ def _lines(axes, curves, ticks):
     axes.set_yscale("log")
     axes.set_xticks(range(len(ticks)), ticks)
     axes.set_xlim(-0.1, len(ticks) - 1 + 0.1)
+    _limit(axes, {name: np.asarray(y, dtype=float) for name, (_, y, _) in curves.items()})
     _label(axes, ends)
 
 
+def _limit(axes, values):
+    """Axis over all methods but the grey box and those far above the rest."""
+    some = np.concatenate([y for name, y in values.items() if name != "grey box"] or [[1.0]])
+    some = some[np.isfinite(some) & (some > 0)]
+    if len(some):
+        axes.set_ylim(some.min() / 1.5, min(some.max(), FAR * np.median(some)) * 1.5)
+        if some.max() / some.min() < 50:
+            axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.yaxis.set_minor_formatter("")
+
+
 def _label(axes, ends):
-    """Names in a column right of the panel, in the order of the errors, spread so that none covers another, each with a thin line to its point."""
+    """Names in a column right of the panel, in the order of the errors, spread so that none covers another, each with a thin line to its point.
+
+    A point beyond the axis has its number beside its name.
+    """
     if not ends:
         return
     low, high = (np.log10(edge) for edge in axes.get_ylim())
     order = sorted(ends, key=lambda end: end[2])
-    places = np.array([(np.log10(y) - low) / (high - low) for _, _, y in order])
-    gap = 0.088
+    heights = np.array([(np.log10(y) - low) / (high - low) for _, _, y in order])
+    places, gap = np.clip(heights, 0.0, 1.0), 0.085
     for k in range(1, len(places)):
         places[k] = max(places[k], places[k - 1] + gap)
-    over = max(0.0, places[-1] - 1.0)
-    places[-1] -= over
+    places[-1] = min(places[-1], 1.0)
     for k in range(len(places) - 2, -1, -1):
         places[k] = min(places[k], places[k + 1] - gap)
-    for (name, x, y), place in zip(order, places):
-        colour = STYLES.get(name, _UNKNOWN)[1]
-        line = {"arrowstyle": "-", "color": colour, "linewidth": 0.35, "shrinkA": 0, "shrinkB": 2}
-        axes.annotate(
-            name, (x, y), (1.04, place), xycoords="data", textcoords="axes fraction", fontsize=6.5, color=colour, va="center", annotation_clip=False, arrowprops=line
-        )
+    for (name, x, y), place, height in zip(order, places, heights):
+        colour, beyond = STYLES.get(name, _UNKNOWN)[1], not 0 <= height <= 1
+        options = {"fontsize": 6.5, "color": colour, "va": "center", "annotation_clip": False}
+        if beyond:
+            axes.annotate(f"{name} ({y:.1g})", (1.04, place), xycoords="axes fraction", **options)
+            continue
+        line = {"arrowstyle": "-", "color": colour, "linewidth": 0.4, "shrinkA": 0, "shrinkB": 2, "relpos": (0, 0.5)}
+        axes.annotate(name, (x, y), (1.08, place), xycoords="data", textcoords="axes fraction", arrowprops=line, **options)

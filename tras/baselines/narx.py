@@ -139,7 +139,7 @@ class NeuralNARX(_NARX):
         Of the initial weights.
     """
 
-    def __init__(self, hidden=(16,), lags=1, alpha=1e-6, iterations=200, points=8000, seed=0):
+    def __init__(self, hidden=(16,), lags=1, alpha=1e-6, iterations=600, points=8000, seed=0):
         self.hidden = hidden
         self.lags = lags
         self.alpha = alpha
