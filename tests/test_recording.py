@@ -203,7 +203,7 @@ def test_select_reorders_channels(experiment):
         (lambda: R(ZEROS, dt=1).cut(2.5), "samples = 2.5; give a whole number"),
         (lambda: R(ZEROS, dt=1).cut_all(float("nan")), "samples = nan"),
         (lambda: R(ZEROS, dt=1).delayed(-1), "delays = -1"),
-        (lambda: R(ZEROS, dt=1).write("a.csv"), "ends in '.csv'"),
+        (lambda: R(ZEROS, dt=1).write("a.xlsx"), "ends in '.xlsx'"),
     ],
 )
 def test_mistakes_are_named(call, words):

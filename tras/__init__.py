@@ -20,6 +20,8 @@ _ROOMS = {
     "steps": "excitation",
     "chirp": "excitation",
     "Recording": "recording",
+    "RecordingError": "roles",
+    "remarks": "formats",
     "PID": "closed_loop",
     "simulate_closed_loop": "closed_loop",
     "Monomials": "dictionary",

@@ -1,14 +1,9 @@
 """`Recording`: measured or simulated trajectories with names, units and sampling time (paper, "Data collection")."""
 
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 
-from tras.files import replacing
-
-_FORMAT = "tras recording 2"
 _RESERVED = ("trajectory", "time", "sample", "row_size")  # columns and dimensions of the table and the file
 
 
@@ -243,87 +238,86 @@ class Recording:
         attribute ``attributes`` holds all of this recording's attributes as JSON, from which `read` has them back exactly; those
         that are single numbers or strings stand beside it under their own names, for ncdump and MATLAB.
         """
-        import xarray
+        from tras import netcdf
 
-        frame = self.to_frame()
-        variables = {
-            "time": ("sample", frame["time"].to_numpy(), {"units": "s", "long_name": "time since the trajectory's start"}),
-            "row_size": ("trajectory", self.lengths, {"sample_dimension": "sample", "long_name": "samples of each trajectory"}),
-        }
-        roles = (("state", self.state_names, self.state_units), ("input", self.input_names, self.input_units))
-        for role, names, units in roles:
-            for position, (name, unit) in enumerate(zip(names, units)):
-                variables[name] = ("sample", frame[name].to_numpy(), {"units": unit, "role": role, "position": position})
-        attributes = _attributes(self.attributes)
-        own = {
-            "Conventions": "CF-1.11",
-            "featureType": "trajectory",
-            "format": _FORMAT,
-            "sampling_time": self.dt,
-            "attributes": json.dumps(attributes),
-        }
-        return xarray.Dataset(variables, attrs={**{k: _plain(v) for k, v in attributes.items() if _is_plain(k, v)}, **own})
+        return netcdf.to_xarray(self, _attributes(self.attributes))
 
     def write(self, path):
-        """Write to ``path``, a NetCDF-4 file (.nc) that xarray, MATLAB's ncread and ncdump open. Same content, same bytes.
+        """Write to ``path``: NetCDF-4 (.nc), .csv, .parquet or MATLAB (.mat, version 7). Same content, same bytes.
+
+        `read` has everything back, numbers to the last bit. A .nc opens in xarray, MATLAB's ncread and ncdump, a .csv (with a comment
+        line above the names) in pandas and spreadsheets; .mat holds cells ``states`` and ``inputs`` of matrices (samples, channels).
 
         Raises
         ------
         ValueError
-            If the suffix is not ``.nc``, or an attribute set since is none that JSON can hold.
+            If the suffix is none of these, or an attribute set since is none that JSON can hold.
         """
-        path = _netcdf_path(path)
-        content = self.to_xarray().to_netcdf(engine="h5netcdf")  # in memory: on a full disk HDF5 cannot even close a file
-        with replacing(path) as temporary:
-            temporary.write_bytes(content)
+        from tras import formats
+
+        formats.write(self, formats.known(path), _attributes(self.attributes))
 
     @classmethod
-    def read(cls, path):
-        """Read a file that `write` has written.
+    def read(cls, path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=0.01):
+        """Read a file that `write` has written, or one of your own from a logger, a spreadsheet or MATLAB.
+
+        Parameters
+        ----------
+        path : str or pathlib.Path
+            .nc (written by `write`), .csv, .parquet or .mat (versions 5 to 7.3: arrays, structs, structs with Time and Data, cell
+            arrays of trials).
+        roles : dict or path of a YAML file, optional
+            ``time`` and ``trial``: a column each (or null); ``states`` (or ``outputs``) and ``inputs``: lists of columns; ``units``:
+            column -> unit; ``dt``: sampling time in s. ``trial`` may be the column of time: a new trial begins where it jumps back.
+            Roles not given are guessed where names are plain (t, time; u1, torque; q, x2, theta_dot; run) and said in
+            ``attributes["guessed"]``.
+        dt : float, optional
+            Sampling time in s where there is no column of time; with one, what its steps must be.
+        resample : float, optional
+            New sampling time in s: linear for states, the last value held for inputs. Otherwise uneven times are an error.
+        missing : {"cut", "refuse"}
+            Rows with an empty, NaN or infinite value: trajectories are cut there, or it is an error. Pieces of a single sample are dropped.
+        tolerance : float
+            How far a step of time may be from the sampling time, as a fraction of it.
+
+        Returns
+        -------
+        Recording
+            What was guessed is in ``attributes["guessed"]``, what was cut, resampled, constant or left aside in
+            ``attributes["noticed"]``; `tras.remarks` makes sentences of both.
 
         Raises
         ------
         FileNotFoundError
             If there is no such file.
         ValueError
-            If it is not a NetCDF-4 file or not a recording.
+            If it is damaged, too large, holds what is no number (text, complex, sparse, objects), if roles are not plain, time goes
+            backwards, repeats or is uneven: a `tras.roles.RecordingError` with path and place.
+
+        Examples
+        --------
+        >>> import pathlib, tempfile
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "log.csv"
+        >>> _ = path.write_text("t [s];theta [rad];torque [N m]\\n0,0;0,1;2\\n0,1;0,2;2\\n0,2;0,4;1,5\\n")
+        >>> recording = Recording.read(path)
+        >>> recording
+        Recording: 1 trajectories of 3 samples at 0.1 s; states theta; inputs torque
+        >>> recording.attributes["guessed"]
+        ['time is column t', 'states are theta', 'inputs are torque', 'the sampling time is 0.1 s']
         """
-        import xarray
+        from tras import formats
+        from tras.roles import RecordingError
 
-        path = _netcdf_path(path)
-        if not path.is_file():
-            raise FileNotFoundError(f"{path} does not exist; `make all` makes the project's own recordings.")
+        path = formats.known(path)
         try:
-            with xarray.open_dataset(path, engine="h5netcdf", decode_times=False) as dataset:
-                return cls._from_xarray(dataset.load())
-        except (OSError, KeyError, AttributeError, TypeError, ValueError, RuntimeError) as error:
-            raise ValueError(f"{path} cannot be read as a recording ({error}); make it again with Recording.write.") from error
-
-    @classmethod
-    def _from_xarray(cls, dataset):
-        if dataset.attrs.get("format") != _FORMAT:
-            raise ValueError(f"its attribute 'format' is {dataset.attrs.get('format')!r}, not {_FORMAT!r}")
-        ends = np.cumsum(dataset["row_size"].to_numpy())
-        if ends[-1] != dataset.sizes["sample"]:
-            raise ValueError(f"row_size sums to {ends[-1]} but there are {dataset.sizes['sample']} samples")
-        parts = {}
-        for role in ("state", "input"):
-            chosen = [name for name, variable in dataset.data_vars.items() if variable.attrs.get("role") == role]
-            chosen.sort(key=lambda name: dataset[name].attrs["position"])
-            columns = [dataset[name].to_numpy() for name in chosen]
-            table = np.column_stack(columns) if columns else np.empty((ends[-1], 0))
-            parts[role] = np.split(table, ends[:-1]), chosen, [dataset[name].attrs["units"] for name in chosen]
-        (states, state_names, state_units), (inputs, input_names, input_units) = parts["state"], parts["input"]
-        return cls(
-            states,
-            inputs,
-            float(dataset.attrs["sampling_time"]),
-            state_names=state_names,
-            input_names=input_names,
-            state_units=state_units,
-            input_units=input_units,
-            attributes=json.loads(dataset.attrs["attributes"]),
-        )
+            return cls(**formats.read(path, roles, dt=dt, resample=resample, missing=missing, tolerance=tolerance))
+        except FileNotFoundError:
+            raise
+        except Exception as error:  # damaged files make the libraries below raise anything
+            if path.suffix == ".nc" and not str(error).startswith(str(path)):
+                raise RecordingError(f"{path} cannot be read as a recording ({error}); make it again with Recording.write.") from error
+            what = str(error) if isinstance(error, ValueError) else f"it is damaged, or not what its suffix says ({type(error).__name__}: {error})"
+            raise RecordingError(what if what.startswith(str(path)) else f"{path}: {what}") from error
 
     def _with(self, states, inputs, **labels):
         """A recording of other data with this one's labels; the data are known to be sound, so nothing is checked again."""
@@ -493,21 +487,3 @@ def _as_json(key, value):
         f"attribute {key!r} holds {value!r} ({type(value).__name__}), which JSON cannot hold; "
         "give None, true or false, finite numbers, strings, or lists and dicts of them."
     )
-
-
-def _is_plain(key, value):
-    """Whether a NetCDF attribute can hold it in a way that every reader understands."""
-    if isinstance(value, str):
-        return key.isidentifier() and value.isprintable() and value.isascii() and value != ""
-    return key.isidentifier() and (isinstance(value, float) or (isinstance(value, int) and abs(value) < 2**63))
-
-
-def _plain(value):
-    return int(value) if isinstance(value, bool) else value
-
-
-def _netcdf_path(path):
-    path = Path(path)
-    if path.suffix != ".nc":
-        raise ValueError(f"path {path} ends in {path.suffix!r}; recordings are NetCDF-4 files, use the ending .nc.")
-    return path

@@ -1,0 +1,208 @@
+"""Recordings in files of many kinds: .nc, .csv, .parquet, .mat. Nothing in a file is executed, and no pickle is read.
+
+Limits (`tras.source`): 1e8 values, 10 000 columns, 256 MiB of text, 4 GiB of other files, structs and cells 8 deep.
+
+What `write` has written says itself which columns are what; in .parquet and .mat a checksum of names, units, numbers and sampling time
+tells when a file is damaged. A CSV has none, for people may edit it: a digit changed there cannot be noticed.
+"""
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+
+from tras import delimited, matlab, netcdf, sampling
+from tras.files import replacing
+from tras.roles import RecordingError, assign
+from tras.source import MAX_FILE, Source, check_size
+
+_FORMAT = "tras recording 2"
+_KEY = b"tras"  # of a Parquet file's metadata
+SUFFIXES = (".nc", ".csv", ".parquet", ".mat")
+
+
+def write(recording, path, attributes):
+    """See `tras.Recording.write`; ``attributes`` are the recording's, as JSON holds them."""
+    path = known(path)
+    if path.suffix == ".nc":
+        content = netcdf.to_xarray(recording, attributes).to_netcdf(engine="h5netcdf")  # in memory: on a full disk HDF5 cannot even close a file
+        with replacing(path) as temporary:
+            temporary.write_bytes(content)
+        return
+    labels = {key: getattr(recording, key) for key in ("state_names", "state_units", "input_names", "input_units")}
+    header = _header(recording.dt, labels, attributes)
+    if path.suffix != ".csv":
+        header["checksum"] = checksum(header, list(recording))
+    with replacing(path) as temporary:
+        if path.suffix == ".csv":
+            delimited.write_table(recording.to_frame(), header, temporary)
+        elif path.suffix == ".mat":
+            matlab.write_recording(recording, header, temporary)
+        else:
+            _write_parquet(recording.to_frame(), header, temporary)
+
+
+def read(path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=sampling.TOLERANCE):
+    """The arguments of the `tras.Recording` that ``path`` holds; see `tras.Recording.read`."""
+    path = known(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist; `make all` makes the project's own recordings.")
+    if path.suffix == ".nc":
+        if roles is not None or dt is not None or resample is not None:
+            raise RecordingError(f"{path}: a .nc file has its own roles and sampling time; leave roles, dt and resample out.")
+        return netcdf.content(path)
+    source = {".csv": delimited.open_table, ".mat": matlab.open_table, ".parquet": _open_parquet}[path.suffix](path)
+    if source.header is not None and roles is None and dt is None:
+        return _own(source, resample, missing, tolerance)
+    if dt is not None:
+        roles = {**_mapping(roles), "dt": dt}
+    names = [name for name in source.names]
+    chosen, guessed = assign(names, roles, source.units, source.dt)
+    x, u, step, remarks = sampling.trajectories(
+        source.read(chosen), chosen, source.place, resample=resample, missing=missing, tolerance=tolerance
+    )
+    if guessed and "dt" not in (roles or {}):
+        guessed.append(f"the sampling time is {step:g} s")
+    return {
+        "states": x, "inputs": u, "dt": step, "state_names": chosen.states, "input_names": chosen.inputs,
+        "state_units": [chosen.units.get(name, "") for name in chosen.states],
+        "input_units": [chosen.units.get(name, "") for name in chosen.inputs],
+        "attributes": {"source": path.name, "guessed": guessed, "noticed": [*source.remarks, *remarks]},
+    }  # fmt: skip
+
+
+def remarks(recording):
+    """What was guessed and noticed when a file was read, as sentences; [] if nothing.
+
+    Examples
+    --------
+    >>> import tras
+    >>> r = tras.Recording([[[1.0], [2.0]]], dt=1, attributes={"guessed": ["time is column t"]})
+    >>> print(*remarks(r))
+    Guessed: time is column t.
+    """
+    said = []
+    for key, word in (("guessed", "Guessed"), ("noticed", "Noticed")):
+        sentences = recording.attributes.get(key, [])
+        said += [f"{word}: {sentence}." for sentence in sentences] if isinstance(sentences, list) else []
+    return said
+
+
+def checksum(header, trajectories):
+    """SHA-256 of the header (without its own checksum) and all numbers."""
+    total = hashlib.sha256(json.dumps({key: value for key, value in header.items() if key != "checksum"}, sort_keys=True).encode())
+    for x, u in trajectories:
+        for array in (x, u):
+            total.update(repr(array.shape).encode())
+            total.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+    return total.hexdigest()
+
+
+def known(path):
+    """``path`` if its suffix is one of ours."""
+    path = Path(path)
+    if path.suffix not in SUFFIXES:
+        raise RecordingError(f"path {path} ends in {path.suffix!r}; recordings are NetCDF-4 (.nc), .csv, .parquet or MATLAB's .mat files.")
+    return path
+
+
+def _mapping(roles):
+    """Roles as a dict, so that one more can be put to them."""
+    from tras.roles import _read
+
+    return _read(roles)
+
+
+def _header(dt, labels, attributes):
+    return {
+        "format": _FORMAT, "dt": dt, "states": list(labels["state_names"]), "state_units": list(labels["state_units"]),
+        "inputs": list(labels["input_names"]), "input_units": list(labels["input_units"]), "attributes": attributes,
+    }  # fmt: skip
+
+
+def _own(source, resample, missing, tolerance):
+    """The content of a file that `write` has written."""
+    header = source.header
+    if header.get("format") != _FORMAT:
+        raise RecordingError(f"its format is {str(header.get('format'))[:40]!r}, this release reads {_FORMAT!r}.")
+    given = {"states": header["states"], "inputs": header["inputs"], "dt": header["dt"], "time": None, "trial": None}
+    if "time" in source.names:
+        given |= {"time": "time", "trial": "trajectory"}
+    chosen, _ = assign(source.names, given, {})
+    x, u, dt, remarks = sampling.trajectories(source.read(chosen), chosen, source.place, resample=resample, missing=missing, tolerance=tolerance)
+    attributes = dict(header["attributes"])
+    if resample is None and "checksum" in header and checksum(header, zip(x, u)) != header["checksum"]:
+        raise RecordingError("its numbers do not fit its checksum: it was damaged, or changed by another program; read it with roles if you trust it.")
+    if resample is not None or any("missing" in remark for remark in remarks):
+        attributes["noticed"] = remarks
+    labels = {key: header[key] for key in ("state_units", "input_units")}
+    return {"states": x, "inputs": u, "dt": dt, "state_names": header["states"], "input_names": header["inputs"], **labels, "attributes": attributes}
+
+
+# --- Parquet -----------------------------------------------------------------------------------------------------------------------
+
+
+def _write_parquet(frame, header, path):
+    import pyarrow
+    import pyarrow.parquet
+
+    table = pyarrow.Table.from_pandas(frame, preserve_index=False).replace_schema_metadata({_KEY: json.dumps(header)})
+    pyarrow.parquet.write_table(table, path, write_page_checksum=True)
+
+
+def _open_parquet(path):
+    import pyarrow.parquet
+
+    if path.stat().st_size > MAX_FILE:
+        raise RecordingError(f"it has {path.stat().st_size} bytes; up to {MAX_FILE} are read.")
+    file = pyarrow.parquet.ParquetFile(path, page_checksum_verification=True, pre_buffer=False)
+    schema, rows = file.schema_arrow, file.metadata.num_rows
+    check_size(rows, len(schema.names))
+    names = [name for name in schema.names if not name.startswith("__index_level_")]
+    if len(set(names)) != len(names):
+        raise RecordingError("two columns have the same name; rename one.")
+    units = {}
+    for name in names:
+        metadata = schema.field(name).metadata or {}
+        unit = metadata.get(b"units", metadata.get(b"unit"))
+        if unit:
+            units[name] = unit.decode("utf-8")
+    header = json.loads((schema.metadata or {}).get(_KEY, b"null"))
+    if header is not None and not isinstance(header, dict):
+        raise RecordingError("its own description is damaged.")
+
+    def read(roles):
+        wanted = [name for name in names if name in (roles.time, roles.trial, *roles.states, *roles.inputs)]
+        table = file.read(columns=wanted, use_threads=False)
+        table.validate(full=True)
+        if table.column_names != wanted or table.num_rows != rows:
+            raise RecordingError("its columns are not those of its description; it is damaged.")
+        return [{name: _column(table.column(name), name, roles) for name in wanted}]
+
+    return Source(names, units, read, lambda _, row: f"row {row + 1}", header)
+
+
+def _column(column, name, roles):
+    """A column as floats; times as seconds since the first, labels of trials as text."""
+    import pyarrow
+    import pyarrow.types as types
+
+    kind = column.type
+    if name == roles.trial and name != roles.time:
+        if types.is_nested(kind):
+            raise RecordingError(f"column {name!r} holds {kind}; a trial is told by a number or a text.")
+        return np.array(["" if value is None else str(value) for value in column.to_pylist()])
+    if types.is_timestamp(kind) and name == roles.time:
+        numbers = column.cast(pyarrow.int64())
+        ticks = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[kind.unit]
+        present = np.array(numbers.is_valid(), dtype=bool)
+        values = np.array(numbers.fill_null(0), dtype=np.int64)
+        first = values[present][0] if present.any() else 0
+        return np.where(present, (values - first) / ticks, np.nan)
+    if not (types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind) or types.is_boolean(kind) or types.is_null(kind)):
+        raise RecordingError(f"column {name!r} holds {kind}, not numbers; leave it out by roles.")
+    if types.is_boolean(kind):
+        column = column.cast(pyarrow.int8())
+    column = column.cast(pyarrow.float64(), safe=False)
+    return np.array(column.to_numpy(), dtype=float)

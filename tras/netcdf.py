@@ -1,0 +1,79 @@
+"""Recordings as NetCDF-4 files (.nc) and as xarray datasets."""
+
+import json
+
+import numpy as np
+
+from tras.roles import RecordingError
+from tras.source import MAX_VALUES
+
+_FORMAT = "tras recording 2"
+
+
+def to_xarray(recording, attributes):
+    """See `tras.Recording.to_xarray`; ``attributes`` are the recording's, as JSON holds them."""
+    import xarray
+
+    frame = recording.to_frame()
+    variables = {
+        "time": ("sample", frame["time"].to_numpy(), {"units": "s", "long_name": "time since the trajectory's start"}),
+        "row_size": ("trajectory", recording.lengths, {"sample_dimension": "sample", "long_name": "samples of each trajectory"}),
+    }
+    roles = (("state", recording.state_names, recording.state_units), ("input", recording.input_names, recording.input_units))
+    for role, names, units in roles:
+        for position, (name, unit) in enumerate(zip(names, units)):
+            variables[name] = ("sample", frame[name].to_numpy(), {"units": unit, "role": role, "position": position})
+    own = {
+        "Conventions": "CF-1.11",
+        "featureType": "trajectory",
+        "format": _FORMAT,
+        "sampling_time": recording.dt,
+        "attributes": json.dumps(attributes),
+    }
+    return xarray.Dataset(variables, attrs={**{k: _plain(v) for k, v in attributes.items() if _is_plain(k, v)}, **own})
+
+
+def content(path):
+    """The arguments of the `tras.Recording` that ``path`` holds.
+
+    Raises
+    ------
+    RecordingError
+        If it is not a NetCDF-4 file or not a recording.
+    """
+    import xarray
+
+    with xarray.open_dataset(path, engine="h5netcdf", decode_times=False) as dataset:
+        values = sum(variable.size for variable in dataset.variables.values())
+        if values > MAX_VALUES:
+            raise RecordingError(f"it has {values} values; up to {MAX_VALUES} are read")
+        return _content(dataset.load())
+
+
+def _content(dataset):
+    if dataset.attrs.get("format") != _FORMAT:
+        raise RecordingError(f"its attribute 'format' is {dataset.attrs.get('format')!r}, not {_FORMAT!r}")
+    ends = np.cumsum(dataset["row_size"].to_numpy())
+    if ends[-1] != dataset.sizes["sample"]:
+        raise RecordingError(f"row_size sums to {ends[-1]} but there are {dataset.sizes['sample']} samples")
+    parts = {}
+    for role in ("state", "input"):
+        chosen = [name for name, variable in dataset.data_vars.items() if variable.attrs.get("role") == role]
+        chosen.sort(key=lambda name: dataset[name].attrs["position"])
+        columns = [dataset[name].to_numpy() for name in chosen]
+        table = np.column_stack(columns) if columns else np.empty((ends[-1], 0))
+        parts[f"{role}s"] = np.split(table, ends[:-1])
+        parts[f"{role}_names"] = chosen
+        parts[f"{role}_units"] = [dataset[name].attrs["units"] for name in chosen]
+    return {**parts, "dt": float(dataset.attrs["sampling_time"]), "attributes": json.loads(dataset.attrs["attributes"])}
+
+
+def _is_plain(key, value):
+    """Whether a NetCDF attribute can hold it in a way that every reader understands."""
+    if isinstance(value, str):
+        return key.isidentifier() and value.isprintable() and value.isascii() and value != ""
+    return key.isidentifier() and (isinstance(value, float) or (isinstance(value, int) and abs(value) < 2**63))
+
+
+def _plain(value):
+    return int(value) if isinstance(value, bool) else value
