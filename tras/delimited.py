@@ -25,16 +25,17 @@ def open_table(path):
     text = _decode(path.read_bytes())
     header, names, separator, start = _header(text)
     rows, lines = _rows(text, separator, start)
+    if header and not text.endswith("\n"):
+        raise RecordingError("its last line is not whole; the file was cut off.")
+    if rows and not names:
+        names = rows.pop(0)
+        del lines[0]
     if not rows:
-        raise RecordingError("it has a header but no row below it." if names else "it is empty.")
-    names = names or _take_header(rows, lines)
+        raise RecordingError("it has a header but no row below it.")
     rows, lines = _even(rows, lines, names, separator)
     check_size(len(rows), len(names))
-    if header:
-        units = {}
-    else:
-        names, units = _names_and_units(names, rows, lines)
-    columns = dict(zip(names, zip(*rows))) if rows else {name: () for name in names}
+    names, units = (names, {}) if header else _names_and_units(names, rows, lines)
+    columns = dict(zip(names, zip(*rows)))
 
     def read(roles):
         comma = _decimal_comma([columns[name] for name in (*roles.states, *roles.inputs, roles.time) if name is not None], separator)
@@ -138,11 +139,6 @@ def _rows(text, separator, start):
     except csv.Error as error:
         raise RecordingError(f"line {start + reader.line_num}: {error}; look for a quotation mark that is not closed, or a line without end.") from error
     return rows, numbers
-
-
-def _take_header(rows, lines):
-    lines.pop(0)
-    return rows.pop(0)
 
 
 def _even(rows, lines, names, separator):

@@ -8,6 +8,7 @@ tells when a file is damaged. A CSV has none, for people may edit it: a digit ch
 
 import hashlib
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,8 @@ import numpy as np
 from tras import delimited, matlab, netcdf, sampling
 from tras.files import replacing
 from tras.roles import RecordingError, assign
-from tras.source import MAX_FILE, Source, check_size
 
 _FORMAT = "tras recording 2"
-_KEY = b"tras"  # of a Parquet file's metadata
 SUFFIXES = (".nc", ".csv", ".parquet", ".mat")
 
 
@@ -40,7 +39,9 @@ def write(recording, path, attributes):
         elif path.suffix == ".mat":
             matlab.write_recording(recording, header, temporary)
         else:
-            _write_parquet(recording.to_frame(), header, temporary)
+            from tras import parquet
+
+            parquet.write_table(recording.to_frame(), header, temporary)
 
 
 def read(path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=sampling.TOLERANCE):
@@ -52,7 +53,7 @@ def read(path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=s
         if roles is not None or dt is not None or resample is not None:
             raise RecordingError(f"{path}: a .nc file has its own roles and sampling time; leave roles, dt and resample out.")
         return netcdf.content(path)
-    source = {".csv": delimited.open_table, ".mat": matlab.open_table, ".parquet": _open_parquet}[path.suffix](path)
+    source = _open(path)
     if source.header is not None and roles is None and dt is None:
         return _own(source, resample, missing, tolerance)
     if dt is not None:
@@ -70,6 +71,14 @@ def read(path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=s
         "input_units": [chosen.units.get(name, "") for name in chosen.inputs],
         "attributes": {"source": path.name, "guessed": guessed, "noticed": [*source.remarks, *remarks]},
     }  # fmt: skip
+
+
+def _open(path):
+    if path.suffix == ".parquet":
+        from tras import parquet  # pyarrow takes a while
+
+        return parquet.open_table(path)
+    return (delimited if path.suffix == ".csv" else matlab).open_table(path)
 
 
 def remarks(recording):
@@ -121,11 +130,21 @@ def _header(dt, labels, attributes):
     }  # fmt: skip
 
 
-def _own(source, resample, missing, tolerance):
-    """The content of a file that `write` has written."""
-    header = source.header
+def _checked(header):
+    """The header of `_header`, or an error: others may have had their hands on it."""
     if header.get("format") != _FORMAT:
         raise RecordingError(f"its format is {str(header.get('format'))[:40]!r}, this release reads {_FORMAT!r}.")
+    texts = ("states", "state_units", "inputs", "input_units")
+    sound = all(isinstance(header.get(key), list) and all(isinstance(text, str) for text in header[key]) for key in texts)
+    sound = sound and isinstance(header.get("dt"), float) and 0 < header["dt"] < math.inf and isinstance(header.get("attributes"), dict)
+    if not sound:
+        raise RecordingError("its own description of channels and sampling time is damaged; read it with roles.")
+    return header
+
+
+def _own(source, resample, missing, tolerance):
+    """The content of a file that `write` has written."""
+    header = _checked(source.header)
     given = {"states": header["states"], "inputs": header["inputs"], "dt": header["dt"], "time": None, "trial": None}
     if "time" in source.names:
         given |= {"time": "time", "trial": "trajectory"}
@@ -138,71 +157,3 @@ def _own(source, resample, missing, tolerance):
         attributes["noticed"] = remarks
     labels = {key: header[key] for key in ("state_units", "input_units")}
     return {"states": x, "inputs": u, "dt": dt, "state_names": header["states"], "input_names": header["inputs"], **labels, "attributes": attributes}
-
-
-# --- Parquet -----------------------------------------------------------------------------------------------------------------------
-
-
-def _write_parquet(frame, header, path):
-    import pyarrow
-    import pyarrow.parquet
-
-    table = pyarrow.Table.from_pandas(frame, preserve_index=False).replace_schema_metadata({_KEY: json.dumps(header)})
-    pyarrow.parquet.write_table(table, path, write_page_checksum=True)
-
-
-def _open_parquet(path):
-    import pyarrow.parquet
-
-    if path.stat().st_size > MAX_FILE:
-        raise RecordingError(f"it has {path.stat().st_size} bytes; up to {MAX_FILE} are read.")
-    file = pyarrow.parquet.ParquetFile(path, page_checksum_verification=True, pre_buffer=False)
-    schema, rows = file.schema_arrow, file.metadata.num_rows
-    check_size(rows, len(schema.names))
-    names = [name for name in schema.names if not name.startswith("__index_level_")]
-    if len(set(names)) != len(names):
-        raise RecordingError("two columns have the same name; rename one.")
-    units = {}
-    for name in names:
-        metadata = schema.field(name).metadata or {}
-        unit = metadata.get(b"units", metadata.get(b"unit"))
-        if unit:
-            units[name] = unit.decode("utf-8")
-    header = json.loads((schema.metadata or {}).get(_KEY, b"null"))
-    if header is not None and not isinstance(header, dict):
-        raise RecordingError("its own description is damaged.")
-
-    def read(roles):
-        wanted = [name for name in names if name in (roles.time, roles.trial, *roles.states, *roles.inputs)]
-        table = file.read(columns=wanted, use_threads=False)
-        table.validate(full=True)
-        if table.column_names != wanted or table.num_rows != rows:
-            raise RecordingError("its columns are not those of its description; it is damaged.")
-        return [{name: _column(table.column(name), name, roles) for name in wanted}]
-
-    return Source(names, units, read, lambda _, row: f"row {row + 1}", header)
-
-
-def _column(column, name, roles):
-    """A column as floats; times as seconds since the first, labels of trials as text."""
-    import pyarrow
-    import pyarrow.types as types
-
-    kind = column.type
-    if name == roles.trial and name != roles.time:
-        if types.is_nested(kind):
-            raise RecordingError(f"column {name!r} holds {kind}; a trial is told by a number or a text.")
-        return np.array(["" if value is None else str(value) for value in column.to_pylist()])
-    if types.is_timestamp(kind) and name == roles.time:
-        numbers = column.cast(pyarrow.int64())
-        ticks = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[kind.unit]
-        present = np.array(numbers.is_valid(), dtype=bool)
-        values = np.array(numbers.fill_null(0), dtype=np.int64)
-        first = values[present][0] if present.any() else 0
-        return np.where(present, (values - first) / ticks, np.nan)
-    if not (types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind) or types.is_boolean(kind) or types.is_null(kind)):
-        raise RecordingError(f"column {name!r} holds {kind}, not numbers; leave it out by roles.")
-    if types.is_boolean(kind):
-        column = column.cast(pyarrow.int8())
-    column = column.cast(pyarrow.float64(), safe=False)
-    return np.array(column.to_numpy(), dtype=float)

@@ -4,7 +4,7 @@ import h5py
 import numpy as np
 
 from tras.roles import RecordingError
-from tras.source import MAX_DEPTH, MAX_PARTS, MAX_VALUES
+from tras.source import MAX_DEPTH, MAX_PARTS, MAX_VALUES, said
 
 _NUMERIC = ("double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "logical")
 
@@ -14,9 +14,14 @@ def read_variables(path):
 
     Links to other files, and data that lie in other files, are refused.
     """
-    with h5py.File(path, "r") as file:
-        budget = {"parts": 0, "values": 0}
-        return {name: _value(_member(file, name), name, 0, budget) for name in file if not name.startswith("#")}
+    budget = {"parts": 0, "values": 0}
+    try:
+        with h5py.File(path, "r") as file:
+            return {name: _value(_member(file, name), name, 0, budget) for name in file if not name.startswith("#")}
+    except RecordingError:
+        raise
+    except (OSError, KeyError, RuntimeError, TypeError, ValueError, AttributeError, OverflowError, MemoryError) as error:  # all that HDF5 says of damage
+        raise RecordingError(f"it is damaged ({said(error)}).") from error
 
 
 def _member(group, name):

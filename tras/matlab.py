@@ -31,7 +31,7 @@ def open_table(path):
         variables = matfile73.read_variables(path)
     else:
         variables = matfile5.read_variables(path.read_bytes())
-    if isinstance(variables.get("header"), str) and "states" in variables:
+    if str(variables.get("header", "")).startswith('{"format": "tras'):
         return _own(variables)
     return source(variables)
 
@@ -56,10 +56,10 @@ def write_recording(recording, header, path):
     """Cells ``states`` and ``inputs`` (one matrix a trajectory), ``dt``, names and units; ``header`` (a dict) as text. Version 7."""
     from scipy.io import savemat
 
-    content = {"states": _cell(x for x, _ in recording), "inputs": _cell(u for _, u in recording), "dt": recording.dt}
+    content = {"header": json.dumps(header), "dt": recording.dt}
     for key in ("state_names", "state_units", "input_names", "input_units"):
         content[key] = _cell(getattr(recording, key))
-    content["header"] = json.dumps(header)
+    content["inputs"], content["states"] = (_cell(arrays) for arrays in zip(*((u, x) for x, u in recording)))  # last: a file cut off lacks them
     memory = io.BytesIO()
     savemat(memory, content, do_compression=True)
     title = b"MATLAB 5.0 MAT-file, written by tras".ljust(116)  # SciPy writes the time there

@@ -66,6 +66,8 @@ def assign(names, given, units, dt=None):
     time is column t; states are phi, phidot; inputs are u1; left out: comment
     """
     given = _read(given)
+    if "time" not in given and given.get("trial") and guess_role(given["trial"]) == "time":
+        given["time"] = given["trial"]
     free = [name for name in names if name not in _taken(names, given)]
     guess = {"time": [], "trial": [], "states": [], "inputs": []}
     for name in free:

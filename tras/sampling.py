@@ -7,6 +7,7 @@ from tras.roles import RecordingError, seconds
 TOLERANCE = 0.01  # of the sampling time: how far a step may be from it
 
 
+@np.errstate(over="ignore", invalid="ignore")  # damaged times may overflow; what comes of it is refused
 def trajectories(tables, roles, place, *, resample=None, missing="cut", tolerance=TOLERANCE):
     """States, inputs and sampling time of a recording, and what had to be done.
 
@@ -200,4 +201,4 @@ def _resampled(pieces, dt, remarks):
 
 def _constant(arrays, names):
     table = np.concatenate(arrays)
-    return [f"{name} is constant ({table[0, i]:g})" for i, name in enumerate(names) if len(table) > 1 and np.ptp(table[:, i]) == 0]
+    return [f"{name} is constant ({table[0, i]:g})" for i, name in enumerate(names) if len(table) > 1 and (table[:, i] == table[0, i]).all()]

@@ -29,6 +29,11 @@ class Source(NamedTuple):
     remarks: list = []
 
 
+def said(error):
+    """What a library said, in one line."""
+    return " ".join(str(error).strip("'").split()) or type(error).__name__
+
+
 def check_size(rows, columns):
     """Refuse a table before room is made for it."""
     if columns > MAX_COLUMNS:

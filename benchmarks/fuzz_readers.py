@@ -1,0 +1,211 @@
+"""Damaged recordings: what the readers make of valid files with bytes flipped, cut off, doubled and mixed.
+
+    .venv/bin/python benchmarks/fuzz_readers.py [--inputs 100000] [--seed 1] [--only csv nc] [--csv counts.csv]
+
+Each input is a valid file of one format, our own or as other tools write it, damaged in one to eight places. It is read in a child
+process, many one after the other; one that takes longer than ten seconds is a hang, a child that dies is a crash, anything but a
+`RecordingError` is a traceback. A recording read without complaint with other numbers, names, units or sampling time is counted as
+"other content": an error where the format has a checksum (.parquet and .mat that we wrote), and what cannot be noticed where it has
+none (a digit of a CSV, a byte of an uncompressed .mat of another tool, a .nc). "unforeseen" counts the damage that only
+the last net caught: errors raised by a library or by us that are no sentence about the file. Exit status 1 if something was wrong.
+"""
+
+import argparse
+import collections
+import csv
+import multiprocessing
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+import h5py  # noqa: E402
+import numpy as np  # noqa: E402
+import pandas  # noqa: E402
+from scipy.io import savemat  # noqa: E402
+
+import tras  # noqa: E402
+
+CHECKED = ("own.parquet", "own.mat")
+PATIENCE = 10  # s
+WRONG = ("crash", "hang", "traceback")
+
+
+def seeds(folder):
+    """Valid files, small so that most damage hits something that matters: name -> bytes."""
+    rng = np.random.default_rng(0)
+    x, u = [rng.normal(size=(k, 2)) for k in (7, 4)], [rng.normal(size=(k, 1)) for k in (7, 4)]
+    labels = {"state_names": ["phi", "phidot"], "state_units": ["rad", "rad/s"], "input_names": ["u1"], "input_units": ["N m"]}
+    recording = tras.Recording(x, u, 0.25, **labels, attributes={"seed": 3})
+    for suffix in ("nc", "csv", "parquet", "mat"):
+        recording.write(folder / f"own.{suffix}")
+    t = [np.arange(len(a)) * 0.25 for a in x]
+    lines = [f"{s:.2f};{a[0]:.4f};{a[1]:.4f};{b[0]:.3f}".replace(".", ",") for s, a, b in zip(t[0], x[0], u[0])]
+    (folder / "logger.csv").write_text("\n".join(["\ufeffTime [s];phi [deg];phidot [deg/s];u1 [V]", *lines, ""]), encoding="utf-8")
+    pandas.DataFrame({"time": t[0], "phi": x[0][:, 0], "u1": u[0][:, 0], "run": ["a"] * 4 + ["b"] * 3}).to_parquet(folder / "pandas.parquet")
+    cells = {"t": _cell(t), "x": _cell(x), "u": _cell(u)}
+    savemat(folder / "matlab5.mat", cells)
+    savemat(folder / "matlab5z.mat", {"log": {"t": t[0], "x": x[0], "u": u[0], "name": "rig"}}, do_compression=True)
+    _matlab73(folder / "matlab73.mat", cells)
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def _cell(values):
+    array = np.empty((1, len(values)), dtype=object)
+    array[0, :] = values
+    return array
+
+
+def _matlab73(path, cells):
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, values in cells.items():
+            found = []
+            for value in values[0]:
+                item = file.create_dataset(f"#refs#/{name}{len(found)}", data=np.atleast_2d(value).T if value.ndim == 1 else value.T)
+                item.attrs["MATLAB_class"] = np.bytes_("double")
+                found.append(item.ref)
+            file.create_dataset(name, data=np.array([found], dtype=h5py.ref_dtype)).attrs["MATLAB_class"] = np.bytes_("cell")
+
+
+def damaged(content, others, rng):
+    """The content with one to eight wounds: bits and bytes changed, cut off, left out, doubled, taken from another file."""
+    content = bytearray(content)
+    for _ in range(rng.choice((1, 1, 1, 2, 3, 8))):
+        if not content:
+            return b""
+        place, length = int(rng.integers(len(content))), int(rng.integers(1, 65))
+        kind = rng.integers(8)
+        if kind <= 1:
+            content[place] ^= 1 << int(rng.integers(8))
+        elif kind == 2:
+            content[place] = int(rng.integers(256))
+        elif kind == 3:
+            content[place : place + 4] = rng.choice((b"\xff\xff\xff\xff", b"\x00\x00\x00\x00", b"\xff\xff\xff\x7f", b"\x00\x00\x00\x80"))
+        elif kind == 4:
+            del content[place:]
+        elif kind == 5:
+            del content[place : place + length]
+        elif kind == 6:
+            content[place:place] = content[place : place + length]
+        else:
+            other = others[int(rng.integers(len(others)))]
+            start = int(rng.integers(len(other)))
+            content[place : place + length] = other[start : start + length]
+    return bytes(content)
+
+
+def content_of(recording):
+    """All that must not change unnoticed."""
+    labels = (recording.dt, recording.state_names, recording.input_names, recording.state_units, recording.input_units)
+    return repr(labels), [(x.tobytes(), u.tobytes()) for x, u in recording]
+
+
+def verdict(path, truth):
+    """What reading ``path`` comes to."""
+    try:
+        recording = tras.Recording.read(path)
+    except tras.RecordingError as error:
+        foreseen = isinstance(error.__cause__, ValueError) or path.suffix == ".nc" or error.__cause__ is None
+        return ("refused", "") if foreseen else ("unforeseen", f"{type(error.__cause__).__name__}: {error.__cause__}"[:120])
+    except BaseException as error:  # noqa: BLE001
+        return "traceback", f"{type(error).__name__}: {error}"[:200]
+    return ("read, same content", "") if content_of(recording) == truth else ("other content", "")
+
+
+def work(jobs, answers, folder, names, contents, truths):
+    """The child: reads one input after the other."""
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_AS, (6 * 2**30, 6 * 2**30))
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    for name, seed in iter(jobs.recv, None):
+        path = folder / f"damaged{Path(name).suffix}"
+        path.write_bytes(damaged(contents[name], contents_of_kind(contents, name), np.random.default_rng(seed)))
+        answers.send(verdict(path, truths[name]))
+
+
+def contents_of_kind(contents, name):
+    return [content for other, content in contents.items() if Path(other).suffix == Path(name).suffix]
+
+
+class Child:
+    """A process that reads until it dies; started anew then."""
+
+    def __init__(self, *arguments):
+        self.arguments = arguments
+        self.start()
+
+    def start(self):
+        jobs, self.jobs = multiprocessing.Pipe(duplex=False)
+        self.answers, answers = multiprocessing.Pipe(duplex=False)
+        self.process = multiprocessing.get_context("fork").Process(target=work, args=(jobs, answers, *self.arguments), daemon=True)
+        self.process.start()
+        jobs.close()
+        answers.close()
+
+    def ask(self, job):
+        self.jobs.send(job)
+        try:
+            if self.answers.poll(PATIENCE):
+                return self.answers.recv()
+            found = "hang", ""
+        except EOFError:
+            self.process.join()
+            found = "crash", f"exit status {self.process.exitcode}"
+        self.process.kill()
+        self.process.join()
+        self.start()
+        return found
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--inputs", type=int, default=100_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after this time")
+    parser.add_argument("--only", nargs="*", default=["csv", "nc", "parquet", "mat"])
+    parser.add_argument("--csv", type=Path, help="write the table here")
+    options = parser.parse_args()
+    began, counts, kinds = time.monotonic(), collections.defaultdict(collections.Counter), collections.Counter()
+    with tempfile.TemporaryDirectory() as folder:
+        originals = Path(folder) / "whole"
+        originals.mkdir()
+        contents = seeds(originals)
+        truths = {name: content_of(tras.Recording.read(originals / name)) for name in contents}
+        names = [name for name in contents if Path(name).suffix[1:] in options.only]
+        child = Child(Path(folder), names, contents, truths)
+        for number in range(options.inputs):
+            name = names[number % len(names)]
+            found, words = child.ask((name, (options.seed, number)))
+            counts[name][found] += 1
+            if words or (found == "other content" and name in CHECKED) or found in WRONG:
+                kinds[f"{name}: {found} {words}"] += 1
+                if found in WRONG or (found == "other content" and name in CHECKED):
+                    print(f"{name}, seed {options.seed} {number}: {found} {words}", flush=True)
+            if time.monotonic() - began > options.seconds:
+                break
+    table = report(counts)
+    print(table.to_string(index=False))
+    print(f"{sum(table['inputs'])} inputs in {time.monotonic() - began:.0f} s, seed {options.seed}")
+    for words, times in kinds.most_common(40):
+        print(f"{times:6d}  {words}")
+    if options.csv:
+        table.to_csv(options.csv, index=False, lineterminator="\n", quoting=csv.QUOTE_MINIMAL)
+    return int(table[list(WRONG)].to_numpy().sum() > 0 or table["silent"].sum() > 0)
+
+
+def report(counts):
+    rows = []
+    for name, found in sorted(counts.items()):
+        row = {"file": name, "inputs": sum(found.values())}
+        row |= {key: found[key] for key in ("refused", "unforeseen", "read, same content", "other content", *WRONG)}
+        rows.append({**row, "silent": found["other content"] if name in CHECKED else 0})
+    return pandas.DataFrame(rows)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

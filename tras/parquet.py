@@ -1,0 +1,79 @@
+"""Parquet files (.parquet)."""
+
+import contextlib
+import json
+
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+import pyarrow.types as types
+
+from tras.roles import RecordingError
+from tras.source import MAX_FILE, Source, check_size, said
+
+_KEY = b"tras"  # of the file's metadata
+
+
+def write_table(frame, header, path):
+    """A pandas table, ``header`` (a dict) in its metadata, with checksums of its pages."""
+    table = pyarrow.Table.from_pandas(frame, preserve_index=False).replace_schema_metadata({_KEY: json.dumps(header)})
+    pyarrow.parquet.write_table(table, path, write_page_checksum=True)
+
+
+def open_table(path):
+    """The `Source` of a Parquet file: only the columns that have a role are read."""
+    if path.stat().st_size > MAX_FILE:
+        raise RecordingError(f"it has {path.stat().st_size} bytes; up to {MAX_FILE} are read.")
+    with _damage():
+        file = pyarrow.parquet.ParquetFile(path, page_checksum_verification=True, pre_buffer=False)
+        schema, rows = file.schema_arrow, file.metadata.num_rows
+    check_size(rows, len(schema.names))
+    names = [name for name in schema.names if not name.startswith("__index_level_")]
+    if len(set(names)) != len(names):
+        raise RecordingError("two columns have the same name; rename one.")
+    with _damage():
+        header = json.loads((schema.metadata or {}).get(_KEY, b"null"))
+        metadata = {name: schema.field(name).metadata or {} for name in names}
+        units = {name: own.get(b"units", own.get(b"unit", b"")).decode("utf-8") for name, own in metadata.items()}
+
+    def read(roles):
+        wanted = [name for name in names if name in (roles.time, roles.trial, *roles.states, *roles.inputs)]
+        with _damage():
+            table = file.read(columns=wanted, use_threads=False)
+            table.validate(full=True)
+        if table.column_names != wanted or table.num_rows != rows:
+            raise RecordingError("its columns are not those of its description; it is damaged.")
+        return [{name: _column(table.column(name), name, roles) for name in wanted}]
+
+    return Source(names, units, read, lambda _, row: f"row {row + 1}", header)
+
+
+@contextlib.contextmanager
+def _damage():
+    """What the library says of damage, as a sentence."""
+    try:
+        yield
+    except (OSError, ValueError, TypeError, KeyError, NotImplementedError, MemoryError, RecursionError, pyarrow.ArrowException) as error:
+        raise RecordingError(f"it is damaged, or of a kind that is not read ({said(error)}).") from error
+
+
+def _column(column, name, roles):
+    """A column as floats; times as seconds since the first, labels of trials as text."""
+    kind = column.type
+    if name == roles.trial and name != roles.time:
+        if types.is_nested(kind):
+            raise RecordingError(f"column {name!r} holds {kind}; a trial is told by a number or a text.")
+        return np.array(["" if value is None else str(value) for value in column.to_pylist()])
+    if types.is_timestamp(kind) and name == roles.time:
+        numbers = column.cast(pyarrow.int64())
+        ticks = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[kind.unit]
+        present = np.array(numbers.is_valid(), dtype=bool)
+        values = np.array(numbers.fill_null(0), dtype=np.int64)
+        first = values[present][0] if present.any() else 0
+        return np.where(present, (values - first) / ticks, np.nan)
+    if not (types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind) or types.is_boolean(kind) or types.is_null(kind)):
+        raise RecordingError(f"column {name!r} holds {kind}, not numbers; leave it out by roles.")
+    if types.is_boolean(kind):
+        column = column.cast(pyarrow.int8())
+    column = column.cast(pyarrow.float64(), safe=False)
+    return np.array(column.to_numpy(), dtype=float)
