@@ -3,6 +3,7 @@
 import h5py
 import numpy as np
 
+from tras import heaps
 from tras.roles import RecordingError
 from tras.source import MAX_DEPTH, MAX_PARTS, MAX_VALUES, said
 
@@ -14,6 +15,7 @@ def read_variables(path):
 
     Links to other files, and data that lie in other files, are refused.
     """
+    heaps.check(path)
     budget = {"parts": 0, "values": 0}
     try:
         with h5py.File(path, "r") as file:

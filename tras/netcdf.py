@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 
+from tras import heaps
 from tras.roles import RecordingError
 from tras.source import MAX_VALUES
 
@@ -43,6 +44,7 @@ def content(path):
     """
     import xarray
 
+    heaps.check(path)
     with xarray.open_dataset(path, engine="h5netcdf", decode_times=False) as dataset:
         values = sum(variable.size for variable in dataset.variables.values())
         if values > MAX_VALUES:
