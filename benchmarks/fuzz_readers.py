@@ -5,8 +5,8 @@
 Each input is a valid file of one format, our own or as other tools write it, damaged in one to eight places. It is read in a child
 process, many one after the other; one that takes longer than ten seconds is a hang, a child that dies is a crash, anything but a
 `RecordingError` is a traceback. A recording read without complaint with other numbers, names, units or sampling time is counted as
-"other content": an error where the format has a checksum (.parquet and .mat that we wrote), and what cannot be noticed where it has
-none (a digit of a CSV, a byte of an uncompressed .mat of another tool, a .nc). "unforeseen" counts the damage that only
+"other content": "silent", an error, where the file has a checksum (.nc, .parquet and .mat that we wrote), and what cannot be noticed
+where it has none (a digit of a CSV, a number in a .mat or .parquet of another tool). "unforeseen" counts the damage that only
 the last net caught: errors raised by a library or by us that are no sentence about the file. Exit status 1 if something was wrong.
 """
 
@@ -30,7 +30,7 @@ from scipy.io import savemat  # noqa: E402
 
 import tras  # noqa: E402
 
-CHECKED = ("own.parquet", "own.mat")
+CHECKED = ("own.nc", "own.parquet", "own.mat")
 PATIENCE = 10  # s
 WRONG = ("crash", "hang", "traceback")
 

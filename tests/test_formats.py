@@ -78,10 +78,13 @@ def test_other_tools_open_ours(experiment, tmp_path):
     assert np.array_equal(np.stack(content["states"]), experiment.states) and list(content["state_names"]) == list(experiment.state_names)
 
 
-@pytest.mark.parametrize("suffix", [".parquet", ".mat"])
+@pytest.mark.parametrize("suffix", [".nc", ".parquet", ".mat"])
 def test_a_changed_number_is_noticed(suffix, tmp_path):
     R(np.arange(12.0).reshape(1, 6, 2), dt=0.1).write(path := tmp_path / f"a{suffix}")
-    if suffix == ".mat":
+    if suffix == ".nc":
+        with h5py.File(path, "r+") as file:
+            file["x2"][3] += 1e-12
+    elif suffix == ".mat":
         content = {key: value for key, value in loadmat(path).items() if key[0] != "_"}
         content["states"][0, 0][3, 1] += 1e-12
         savemat(path, content)
@@ -89,7 +92,7 @@ def test_a_changed_number_is_noticed(suffix, tmp_path):
         table = pyarrow.parquet.read_table(path)
         column = np.array(table["x1"]) + np.eye(6)[2] * 1e-12
         pyarrow.parquet.write_table(table.set_column(2, "x1", pyarrow.array(column)), path)
-    with pytest.raises(tras.RecordingError, match="do not fit its checksum"):
+    with pytest.raises(tras.RecordingError, match="not fit its checksum"):
         R.read(path)
 
 

@@ -2,8 +2,8 @@
 
 Limits (`tras.source`): 1e8 values, 10 000 columns, 256 MiB of text, 4 GiB of other files, structs and cells 8 deep.
 
-What `write` has written says itself which columns are what; in .parquet and .mat a checksum of names, units, numbers and sampling time
-tells when a file is damaged. A CSV has none, for people may edit it: a digit changed there cannot be noticed.
+What `write` has written says itself which columns are what; in all but .csv a checksum of names, units, numbers and sampling time tells
+when a file is damaged. A CSV has none, for people may edit it: a digit changed there cannot be noticed.
 """
 
 import hashlib
@@ -18,21 +18,23 @@ from tras.files import replacing
 from tras.roles import RecordingError, assign
 
 _FORMAT = "tras recording 2"
+_LABELS = ("state_names", "state_units", "input_names", "input_units")
 SUFFIXES = (".nc", ".csv", ".parquet", ".mat")
 
 
 def write(recording, path, attributes):
     """See `tras.Recording.write`; ``attributes`` are the recording's, as JSON holds them."""
     path = known(path)
+    labels = {key: getattr(recording, key) for key in _LABELS}
+    header = _header(recording.dt, labels, attributes)
+    if path.suffix != ".csv":
+        header["checksum"] = checksum(header, recording)
     if path.suffix == ".nc":
-        content = netcdf.to_xarray(recording, attributes).to_netcdf(engine="h5netcdf")  # in memory: on a full disk HDF5 cannot even close a file
+        dataset = netcdf.to_xarray(recording, attributes).assign_attrs(checksum=header["checksum"])
+        content = dataset.to_netcdf(engine="h5netcdf")  # in memory: on a full disk HDF5 cannot even close a file
         with replacing(path) as temporary:
             temporary.write_bytes(content)
         return
-    labels = {key: getattr(recording, key) for key in ("state_names", "state_units", "input_names", "input_units")}
-    header = _header(recording.dt, labels, attributes)
-    if path.suffix != ".csv":
-        header["checksum"] = checksum(header, list(recording))
     with replacing(path) as temporary:
         if path.suffix == ".csv":
             delimited.write_table(recording.to_frame(), header, temporary)
@@ -52,7 +54,11 @@ def read(path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=s
     if path.suffix == ".nc":
         if roles is not None or dt is not None or resample is not None:
             raise RecordingError(f"{path}: a .nc file has its own roles and sampling time; leave roles, dt and resample out.")
-        return netcdf.content(path)
+        content, expected = netcdf.content(path)
+        header = _header(content["dt"], {key: content[key] for key in _LABELS}, content["attributes"])
+        if expected is not None and checksum(header, zip(content["states"], content["inputs"])) != expected:
+            raise RecordingError("its content does not fit its checksum")
+        return content
     source = _open(path)
     if source.header is not None and roles is None and dt is None:
         return _own(source, resample, missing, tolerance)

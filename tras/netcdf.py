@@ -35,7 +35,7 @@ def to_xarray(recording, attributes):
 
 
 def content(path):
-    """The arguments of the `tras.Recording` that ``path`` holds.
+    """The arguments of the `tras.Recording` that ``path`` holds, and its checksum or None.
 
     Raises
     ------
@@ -67,7 +67,8 @@ def _content(dataset):
         parts[f"{role}s"] = np.split(table, ends[:-1])
         parts[f"{role}_names"] = chosen
         parts[f"{role}_units"] = [dataset[name].attrs["units"] for name in chosen]
-    return {**parts, "dt": float(dataset.attrs["sampling_time"]), "attributes": json.loads(dataset.attrs["attributes"])}
+    content = {**parts, "dt": float(dataset.attrs["sampling_time"]), "attributes": json.loads(dataset.attrs["attributes"])}
+    return content, dataset.attrs.get("checksum")  # files of before have none
 
 
 def _is_plain(key, value):
