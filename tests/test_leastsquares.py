@@ -279,6 +279,21 @@ def test_order_and_size_of_blocks_do_not_matter(rows, seed, blocks, panel):
     assert np.allclose(fit.R.T @ fit.R, whole.R.T @ whole.R, rtol=1e-11, atol=1e-11 * len(X))
 
 
+@pytest.mark.parametrize("stored_after", [1, 2, 7, 12])
+def test_a_store_between_changes_no_bit(rows, stored_after):
+    """Blocks smaller than a panel, so that rows wait at the store, after the first block without any basis yet."""
+    X, Y = rows
+    straight, stored = StreamingLeastSquares(), StreamingLeastSquares()
+    for k in range(15):
+        for solver in (straight, stored):
+            solver.update(X[600 * k : 600 * (k + 1)], Y[600 * k : 600 * (k + 1)])
+        if k + 1 == stored_after:
+            stored = StreamingLeastSquares.from_state(stored.state())
+            assert sum(len(x) for x, _ in stored._waiting) == 600 * ((k + 1) % 7)
+    assert np.array_equal(straight.solve().coefficients, stored.solve().coefficients)
+    assert np.array_equal(straight.solve().R, stored.solve().R)
+
+
 def test_partial_updates_equal_the_solution_of_what_came_so_far(rows):
     X, Y = rows
     solver = StreamingLeastSquares()

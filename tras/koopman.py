@@ -9,7 +9,7 @@ import numpy as np
 
 from tras.leastsquares import StreamingLeastSquares
 
-_DEALT = 2**20  # pairs that are shuffled at a time, 80 MB for ten channels
+DEALT = 2**20  # pairs that are shuffled at a time, 80 MB for ten channels
 
 
 def snapshot_pairs(recording, block=4096, deal=False):
@@ -30,7 +30,7 @@ def snapshot_pairs(recording, block=4096, deal=False):
     tuple of ndarray
         (pairs, n), (pairs, m), (pairs, n).
     """
-    for x, u, y in _stretches(recording, max(block, _DEALT) if deal else block):
+    for x, u, y in _stretches(recording, max(block, DEALT) if deal else block):
         if deal:
             hands = max(1, round(len(x) / block))
             yield from ((x[k::hands], u[k::hands], y[k::hands]) for k in range(hands))
@@ -47,10 +47,15 @@ def _stretches(recording, size):
             waiting.append((x[k:end], u[k:end], x[k + 1 : end + 1]))
             count += end - k
             if count >= size:
-                yield tuple(map(np.concatenate, zip(*waiting)))
+                yield _joined(waiting)
                 waiting, count = [], 0
     if waiting:
-        yield tuple(map(np.concatenate, zip(*waiting)))
+        yield _joined(waiting)
+
+
+def _joined(parts):
+    """A single part as it is, without a copy."""
+    return parts[0] if len(parts) == 1 else tuple(map(np.concatenate, zip(*parts)))
 
 
 def rows(dictionary, x, u, y):

@@ -158,26 +158,36 @@ class StreamingLeastSquares:
         return LeastSquares(coefficients, basis.factor(L) * basis.scale, rotated, self._lengths, self._square, self.rows, names)
 
     def state(self):
-        """All that is known of the rows, as a dict of plain arrays: store it with `numpy.savez`, continue with `from_state`."""
+        """All that is known of the rows, as a dict of plain arrays: store it with `numpy.savez`, continue with `from_state`.
+
+        Rows that wait for a panel to fill are stored as they are, so what follows has the same bits with and without a store between.
+        """
         if self.rows == 0:
             raise ValueError("there are no rows; call update(regressors, targets) first.")
-        self._work_off(self.rows)
+        x, y = map(np.concatenate, zip(*self._waiting)) if self._waiting else (np.empty((0, k)) for k in self._shapes)
+        state = {"rows": np.array(self.rows), "waiting_regressors": x, "waiting_targets": y}
+        if self._basis is None:
+            return state
         basis = self._basis
-        return {
-            "rows": np.array(self.rows), "gram": self._gram, "cross": self._cross, "lengths": self._lengths,
-            "square": self._square, "examined": np.array(self._examined), "T": basis.T, "scale": basis.scale,
-            "bits": np.array(basis.bits), "ridge": basis.ridge,
+        return state | {
+            "gram": self._gram, "cross": self._cross, "lengths": self._lengths, "square": self._square,
+            "examined": np.array(self._examined), "T": basis.T, "scale": basis.scale, "bits": np.array(basis.bits), "ridge": basis.ridge,
         }  # fmt: skip
 
     @classmethod
     def from_state(cls, state, panel=None):
         """The solver whose `state` this was."""
         self = cls(panel)
-        self.rows, self._examined = int(state["rows"]), float(state["examined"])
-        for key in ("gram", "cross", "lengths", "square"):
-            setattr(self, "_" + key, np.array(state[key], dtype=float))
-        self._shapes = self._cross.shape
-        self._basis = _Basis(np.asfortranarray(state["T"]), np.array(state["scale"]), int(state["bits"]), np.array(state["ridge"]))
+        self.rows = int(state["rows"])
+        waiting = np.array(state["waiting_regressors"]), np.array(state["waiting_targets"])
+        self._shapes = waiting[0].shape[1], waiting[1].shape[1]
+        self._waiting = [waiting] if len(waiting[0]) else []
+        if "gram" in state:
+            self._examined = float(state["examined"])
+            for key in ("gram", "cross", "lengths", "square"):
+                setattr(self, "_" + key, np.array(state[key], dtype=float))
+            basis = np.asfortranarray(state["T"]), np.array(state["scale"]), int(state["bits"]), np.array(state["ridge"])
+            self._basis = _Basis(*basis)
         return self
 
 

@@ -7,7 +7,7 @@ from scipy import linalg
 from sklearn.base import BaseEstimator, clone
 
 from tras import dictionary as dictionaries
-from tras import generator, koopman, metrics, rollout, stability, storage, summary
+from tras import generator, koopman, metrics, rollout, scaling, stability, storage, streaming, summary
 from tras.leastsquares import StreamingLeastSquares
 from tras.recording import Recording, join
 from tras.regularization import METHODS, STRENGTHS, regularized
@@ -116,8 +116,11 @@ class KoopmanModel(BaseEstimator):
 
     # ------------------------------------------------------------------------------------------------------------ fitting
 
-    def fit(self, recording, y=None):
+    def fit(self, recording, y=None, **streamed):
         """Identify from a `Recording`, or a sequence of recordings with the same channels.
+
+        The path of a file, `Recording.open(path)`, an iterator of recordings, or a callable that returns one: these may be larger than memory. See
+        `tras.streaming.fit` for them, and for the options ``ranges, checkpoint, chunk, progress, every``.
 
         Raises
         ------
@@ -127,18 +130,21 @@ class KoopmanModel(BaseEstimator):
             (a ValueError) If K has no principal logarithm.
         """
         self._check_options()
-        recording = join(recording)
+        return streaming.fit(self, recording, **streamed)
+
+    def _begin(self, recording, ranges=None):
+        """Scales and dictionary from the recording, or scales from ``ranges``; no rows yet."""
         if recording.pairs == 0:
             raise ValueError("no trajectory has two samples, so there are no snapshot pairs; record more.")
         for name in [name for name in vars(self) if name.endswith("_") or name in ("koopman_matrix", "generator", "condition_number")]:
             delattr(self, name)  # what an earlier fit found
-        self._remember(recording)
+        self._remember(recording, ranges)
         x, u = (np.concatenate(part) for part in zip(*self._scaled(recording)))
         self.dictionary_ = clone(self.dictionary).fit(x, u if self._lifts_inputs else None)
         self.names_ = self.dictionary_.feature_names(self._channels(inputs=self._lifts_inputs))
         self.fitted_as_ = (self.predictor, self.delays)
         self._solver = StreamingLeastSquares()
-        return self._learn(recording)
+        return self
 
     def partial_fit(self, recording, y=None):
         """Go on with more data: K is then the one of all recordings so far. Scales and centres stay those of the first recording.
@@ -158,9 +164,12 @@ class KoopmanModel(BaseEstimator):
 
     def _learn(self, recording):
         scaled = self._scaled(recording)
-        chooses = self.regularization is not None and self.strength == "auto" and self._tail
-        train, held = hold_out(scaled) if chooses else (scaled, None)
+        train, held = hold_out(scaled) if self._chooses else (scaled, None)
         self._absorb(train)
+        return self._conclude(scaled, held)
+
+    def _conclude(self, scaled, held):
+        """The strength by ``held``, which was not absorbed yet, if there is any; then the solution of all rows."""
         strength = 0.0 if self.regularization is None or self.strength == "auto" else float(self.strength)
         if held is not None:
             strength = self._choose_strength(scaled, held)
@@ -171,6 +180,10 @@ class KoopmanModel(BaseEstimator):
     @property
     def _lifts_inputs(self):
         return self.predictor != "lifted_linear"
+
+    @property
+    def _chooses(self):
+        return self.regularization is not None and self.strength == "auto" and self._tail > 0
 
     @property
     def _tail(self):
@@ -370,25 +383,15 @@ class KoopmanModel(BaseEstimator):
         if self.stable and self.predictor != "lifted_linear":
             raise ValueError(f"stable={self.stable!r} needs predictor='lifted_linear', but it is {self.predictor!r}.")
 
-    def _remember(self, recording):
-        """Names, units, sampling time and the scale of each channel: its middle and half-range."""
+    def _remember(self, recording, ranges=None):
+        """Names, units, sampling time and the scale of each channel: its middle and half-range, over the recording or as given."""
         self.dt_ = recording.dt
         for role in ("state", "input"):
             for kind in ("names", "units"):
                 setattr(self, f"{role}_{kind}_", tuple(getattr(recording, f"{role}_{kind}")))
-        x, u = (np.concatenate(part) for part in zip(*recording))
-        for letter, values, names in (("x", x, self.state_names_), ("u", u, self.input_names_)):
-            low, high = (values.min(axis=0), values.max(axis=0)) if values.size else (np.empty(0), np.empty(0))
-            scale = (high - low) / 2
-            constant = scale <= 1e-12 * np.maximum(np.abs(low), np.abs(high))
-            if constant.any():
-                i = int(np.argmax(constant))
-                raise ValueError(
-                    f"channel {names[i]!r} is constant ({low[i]:g}) over the whole recording: nothing can be learnt about it; leave it out "
-                    "with recording.select(...)."
-                )
-            setattr(self, f"{letter}_offset_", (high + low) / 2)
-            setattr(self, f"{letter}_scale_", scale)
+        ranges = ranges or scaling.ranges_of(recording)
+        self.x_offset_, self.x_scale_ = scaling.middle_and_half(ranges, self.state_names_)
+        self.u_offset_, self.u_scale_ = scaling.middle_and_half(ranges, self.input_names_)
 
     @property
     def _keeps_inputs(self):

@@ -8,7 +8,7 @@ from tras import heaps
 from tras.roles import RecordingError
 from tras.source import MAX_VALUES
 
-_FORMAT = "tras recording 2"
+FORMAT = "tras recording 2"
 
 
 def to_xarray(recording, attributes):
@@ -27,7 +27,7 @@ def to_xarray(recording, attributes):
     own = {
         "Conventions": "CF-1.11",
         "featureType": "trajectory",
-        "format": _FORMAT,
+        "format": FORMAT,
         "sampling_time": recording.dt,
         "attributes": json.dumps(attributes),
     }
@@ -53,8 +53,8 @@ def content(path):
 
 
 def _content(dataset):
-    if dataset.attrs.get("format") != _FORMAT:
-        raise RecordingError(f"its attribute 'format' is {dataset.attrs.get('format')!r}, not {_FORMAT!r}")
+    if dataset.attrs.get("format") != FORMAT:
+        raise RecordingError(f"its attribute 'format' is {dataset.attrs.get('format')!r}, not {FORMAT!r}")
     ends = np.cumsum(dataset["row_size"].to_numpy())
     if ends[-1] != dataset.sizes["sample"]:
         raise RecordingError(f"row_size sums to {ends[-1]} but there are {dataset.sizes['sample']} samples")

@@ -158,7 +158,7 @@ class Recording:
         ValueError
             If ``samples`` is not a whole number, less than 2, or no trajectory is that long.
         """
-        samples = _whole("samples", samples)
+        samples = whole_number("samples", samples)
         if samples < 2 or samples > self.lengths.max():
             raise ValueError(f"samples = {samples}; pieces need 2 to {self.lengths.max()} samples, the longest trajectory's length.")
         starts = [(x, u, k) for x, u in self for k in range(0, len(x) - samples + 1, samples - 1)]
@@ -166,7 +166,7 @@ class Recording:
 
     def cut_all(self, samples):
         """As `cut`, but nothing is lost: rests, and trajectories that are shorter, are kept with the length they have."""
-        samples = _whole("samples", samples)
+        samples = whole_number("samples", samples)
         if samples < 2:
             raise ValueError(f"samples = {samples}; pieces need 2 samples or more.")
         states, inputs = [], []
@@ -186,7 +186,7 @@ class Recording:
         ValueError
             If a trajectory has not more than ``delays`` samples.
         """
-        delays = _whole("delays", delays)
+        delays = whole_number("delays", delays)
         if delays < 0:
             raise ValueError(f"delays = {delays}; give 0 or more.")
         if delays == 0:
@@ -319,6 +319,17 @@ class Recording:
             what = str(error) if isinstance(error, ValueError) else f"it is damaged, or not what its suffix says ({type(error).__name__}: {error})"
             raise RecordingError(what if what.startswith(str(path)) else f"{path}: {what}") from error
 
+    @staticmethod
+    def open(path):
+        """A file that `write` has written, to be read piece by piece: a `tras.pieces.RecordingFile`, for recordings larger than memory.
+
+        Raises as `read` does.
+        """
+        from tras.pieces import RecordingFile  # which imports this module
+
+        return RecordingFile(path)
+
+
     def _with(self, states, inputs, **labels):
         """A recording of other data with this one's labels; the data are known to be sound, so nothing is checked again."""
         new = object.__new__(type(self))
@@ -347,10 +358,15 @@ def join(recordings):
         raise ValueError(f"recording is {type(recordings[0]).__name__ if recordings else 'empty'}; give a tras.Recording or a sequence of them.")
     first = recordings[0]
     for i, other in enumerate(recordings[1:], start=1):
-        for label in ("dt", "state_names", "input_names"):
-            if getattr(other, label) != getattr(first, label):
-                raise ValueError(f"recording {i} has {label} {getattr(other, label)} but the first has {getattr(first, label)}; make them alike.")
+        require_alike(first, other, i)
     return first._with([x for r in recordings for x, _ in r], [u for r in recordings for _, u in r])
+
+
+def require_alike(first, other, i):
+    """A ValueError if recording ``i`` has other channels or another sampling time than the first."""
+    for label in ("dt", "state_names", "input_names"):
+        if getattr(other, label) != getattr(first, label):
+            raise ValueError(f"recording {i} has {label} {getattr(other, label)} but the first has {getattr(first, label)}; make them alike.")
 
 
 def versions():
@@ -457,7 +473,7 @@ def _number(value):
         return math.nan
 
 
-def _whole(name, value):
+def whole_number(name, value):
     number = _number(value)
     if not number.is_integer():
         raise ValueError(f"{name} = {value!r}; give a whole number.")

@@ -27,7 +27,7 @@ _ARRAYS = (
     "koopman_matrix", "generator", "W_", "B_", "condition_number", "residual_", "field_disagreement_", "substeps_",
     "x_offset_", "x_scale_", "u_offset_", "u_scale_", "outward_", "outward_step_", "log_residual_", "refinement_",
 )  # fmt: skip
-_HULL = ("centre", "axes", "low", "high")
+HULL = ("centre", "axes", "low", "high")
 
 
 def save(model, path):
@@ -38,7 +38,7 @@ def save(model, path):
     if hasattr(model, "errors_"):
         header["errors"] = [[float(key), float(value)] for key, value in model.errors_.items()]
     if hasattr(model, "hull_"):
-        arrays |= {f"hull.{key}": getattr(model.hull_, key) for key in _HULL}
+        arrays |= {f"hull.{key}": getattr(model.hull_, key) for key in HULL}
         header["free"] = [int(i) for i in model.hull_.free]
     header["dictionary"] = _pack(model.dictionary_, "dictionary", arrays)
     with replacing(_npz_path(path)) as temporary:
@@ -77,9 +77,7 @@ def _restore(header, arrays):
     model = KoopmanModel(clone(dictionary), **header["parameters"])
     model.dictionary_ = dictionary
     if "hull.centre" in arrays:
-        hull = object.__new__(Hull)
-        hull.__dict__.update({key: arrays.pop(f"hull.{key}") for key in _HULL}, free=header["free"])
-        model.hull_ = hull.settle()
+        model.hull_ = restored_hull({key: arrays.pop(f"hull.{key}") for key in HULL}, header["free"])
     if "errors" in header:
         model.errors_ = dict(map(tuple, header["errors"]))
     for key in _HEADER:
@@ -94,6 +92,13 @@ def _restore(header, arrays):
     if not needed <= set(arrays):
         raise ValueError(f"it lacks {sorted(needed - set(arrays))[0]!r}")
     return model
+
+
+def restored_hull(arrays, free):
+    """The hull that had these arrays, one for each name in `HULL`."""
+    hull = object.__new__(Hull)
+    hull.__dict__.update(arrays, free=free)
+    return hull.settle()
 
 
 def _pack(dictionary, place, arrays):

@@ -1,0 +1,115 @@
+"""Checkpoints of a fit that takes long: where it was in the data, and all that it had learnt of them."""
+
+import hashlib
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+from sklearn.base import BaseEstimator
+
+from tras.files import replacing
+from tras.leastsquares import StreamingLeastSquares
+from tras.storage import HULL, restored_hull
+
+_FORMAT = "tras checkpoint 1"
+
+
+class CheckpointError(ValueError):
+    """The file is no checkpoint, or one of another model or other data."""
+
+
+def write(path, model, header, arrays):
+    """Store ``header`` (what JSON holds) and ``arrays`` beside the model's rows so far, its name, and its hull."""
+    arrays = {f"survey.{key}": value for key, value in arrays.items()}
+    arrays |= {f"solver.{key}": value for key, value in model._solver.state().items()}
+    if hasattr(model, "hull_"):
+        arrays |= {f"hull.{key}": getattr(model.hull_, key) for key in HULL}
+        header = header | {"free": [int(i) for i in model.hull_.free]}
+    header = header | {"format": _FORMAT, "model": described(model)}
+    with replacing(_npz_path(path)) as temporary:
+        np.savez(temporary, header=np.array(json.dumps(header)), **arrays)
+
+
+def read(path, model, **same):
+    """(header, survey's arrays, function that puts solver and hull into the model); None if there is no file.
+
+    Raises
+    ------
+    CheckpointError
+        If it is damaged, belongs to another model, or its header holds another value for a name in ``same``.
+    """
+    path = _npz_path(path)
+    if not path.exists():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {key: file[key] for key in file.files}
+        header = json.loads(str(arrays.pop("header")))
+        if header["format"] != _FORMAT:
+            raise ValueError(f"its format is {header['format']!r}, this release reads {_FORMAT!r}")
+        parts = {kind: {key.partition(".")[2]: v for key, v in arrays.items() if key.startswith(kind)} for kind in ("survey", "solver", "hull")}
+        solver = StreamingLeastSquares.from_state(parts["solver"])
+        hull = restored_hull(parts["hull"], header["free"]) if parts["hull"] else None
+        _require_same(path, header, same | {"model": described(model)})
+    except CheckpointError:
+        raise
+    except (OSError, EOFError, KeyError, TypeError, AttributeError, ValueError, zipfile.BadZipFile) as error:
+        raise CheckpointError(f"checkpoint {path} cannot be read ({error}); delete it to begin anew.") from error
+
+    def restore(model):
+        model._solver = solver
+        if hull is not None:
+            model.hull_ = hull
+
+    return header, parts["survey"], restore
+
+
+def _require_same(path, header, wanted):
+    wanted = json.loads(json.dumps(wanted))
+    for name, now in wanted.items():
+        before = header[name]
+        if before == now:
+            continue
+        if name == "model":
+            name = next(key for key in now if before.get(key) != now[key])
+            before, now = before.get(name), now[name]
+        kind = "another model" if name in wanted["model"] else "a fit with another option"
+        raise CheckpointError(
+            f"checkpoint {path} belongs to {kind}: its {name} is {before!r}, here it is {now!r}; "
+            "use what it was made with, give another path, or delete it to begin anew."
+        )
+
+
+def described(model):
+    """What the rows of the least-squares problem depend on, as JSON holds it: the method and strength that solve it do not matter."""
+    chooses = model.regularization is not None and model.strength == "auto"
+    return {
+        "dictionary": _described(model.dictionary), "predictor": "lifted_linear" if model.predictor == "lifted_linear" else "vector_field or one_step",
+        "delays": int(model.delays), "earlier inputs": bool(model.delays and model.predictor != "vector_field"),
+        "extrapolation": model.extrapolation, "strength": "auto" if chooses else "given",
+    }  # fmt: skip
+
+
+def _described(value):
+    if isinstance(value, BaseEstimator):
+        inner = {key: _described(item) for key, item in value.get_params(deep=False).items()}
+        return f"{type(value).__name__}({', '.join(f'{key}={item}' for key, item in inner.items())})"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_described, value))}]"
+    if isinstance(value, np.random.Generator):
+        return f"Generator {_digest(repr(value.bit_generator.state).encode())}"
+    if isinstance(value, np.ndarray):
+        return f"array {value.shape} {_digest(np.ascontiguousarray(value).tobytes())}"
+    return repr(value.item() if isinstance(value, np.generic) else value)
+
+
+def _digest(data):
+    return hashlib.sha256(data).hexdigest()[:12]
+
+
+def _npz_path(path):
+    path = Path(path)
+    if path.suffix != ".npz":
+        raise ValueError(f"checkpoint {path} ends in {path.suffix!r}; use the ending .npz.")
+    return path

@@ -1,0 +1,311 @@
+"""Fits of more data than memory holds: every piece is read, absorbed and forgotten.
+
+What is kept is the solver's state, O(N^2), one chunk of pairs, and a sample: windows spread evenly over the data. From the sample come the
+centres of a dictionary and the check of the integrator's step, and on it the strength is chosen, unfitted meanwhile.
+"""
+
+import contextlib
+import time
+import zlib
+from collections import deque
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+from tras import checkpoint as store
+from tras import koopman, scaling
+from tras.pieces import Piece, RecordingFile, Stream, UnreadableError, without
+from tras.recording import Recording, join, whole_number
+from tras.selection import WINDOW
+
+__all__ = ["RecordingFile", "fit", "needed"]
+
+_WINDOWS = 100  # windows of a sample at least, if there are so many; at most twice as many
+_TOGETHER = 2**16  # pairs that are scaled at once
+
+
+def needed(source):
+    """Whether data are to be read in pieces: anything but a `Recording`, a list of them, or what is no data at all."""
+    if isinstance(source, (str, Path, RecordingFile)) or callable(source):
+        return True
+    if isinstance(source, (list, tuple)):
+        return any(isinstance(item, (str, Path, RecordingFile)) for item in source)
+    return hasattr(source, "__iter__") and not isinstance(source, Recording) and not hasattr(source, "__array__")
+
+
+def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=None, every=60.0):
+    """Fit a `KoopmanModel` to data of any size; its ``fit`` calls this.
+
+    A `Recording`, or a list of them, is fitted in memory unless a ``chunk`` is given; so are other data that are smaller than a chunk.
+    Every pair is absorbed once. Before that the data are read through for the ranges of the channels, the number of pairs and the sample, which
+    costs little beside the fit. With ``ranges``, and for an iterator, which can be read once only, there is no such reading: the first chunk
+    stands for all then, in centres and strength and, without ``ranges``, in the scales.
+
+    Parameters
+    ----------
+    model : KoopmanModel
+    source : path, RecordingFile, Recording, an iterable of these, or a callable that returns such an iterable
+        A callable, or an iterable that is no iterator, begins anew each time and has to give the same data.
+    ranges : dict, optional
+        Channel name -> (lowest, highest) in the channel's units, which become -1 and 1.
+    checkpoint : path, optional
+        An .npz file to go on from if it exists; written ``every`` so many seconds, when the data have been read, and when reading fails or is
+        interrupted. To go on, the data are read from the beginning and compared with those read before; the model has the same bits as without
+        the interruption. The file stays at the end: for another strength or regularisation the data need only be read.
+    chunk : int, optional
+        Snapshot pairs in memory at a time; default 2^20, 50 MiB of samples of six channels.
+    progress : bool, optional
+        Show a progress bar. Default: in a terminal.
+    every : float
+        Seconds.
+
+    Returns
+    -------
+    KoopmanModel
+        ``model``, fitted.
+
+    Raises
+    ------
+    ValueError
+        With ``field="least_squares"``, which needs all data at once; if a piece cannot be read or holds NaN or infinity (with file, trajectory and
+        samples); if the checkpoint belongs to another model or other data; and as for `KoopmanModel.fit`.
+    """
+    if chunk is None and not needed(source):
+        recording = join(source)
+        return model._begin(recording, scaling.checked(ranges, recording))._learn(recording)
+    chunk = koopman.DEALT if chunk is None else whole_number("chunk", chunk)
+    if chunk < 1:
+        raise ValueError(f"chunk = {chunk}; give the number of snapshot pairs to hold in memory, 1 or more.")
+    stream = Stream(source, chunk, model.delays + 1)
+    saved = None if checkpoint is None else store.read(checkpoint, model, chunk=chunk)
+    pieces = stream.pieces()
+    head = _head(pieces, 1 if saved else chunk)
+    if not saved and sum(piece.pairs for piece in head) < chunk:
+        whole = stream.recording(head)
+        return model._begin(whole, scaling.checked(ranges, whole))._learn(whole)
+    if model.field == "least_squares" and model.predictor == "vector_field":
+        raise ValueError("field is 'least_squares', which needs all data in memory at once; use field='coordinates', or fewer data.")
+    if saved:
+        survey = _Survey.restored(saved, stream, checkpoint)
+    else:
+        alone = stream.once or ranges is not None
+        survey = _survey(stream, head, pieces, scaling.checked(ranges, stream.template), alone, progress)
+        pieces = pieces if alone else stream.pieces()
+    model._begin(survey.sample, survey.ranges)
+    held = survey.held if model._chooses else {}
+    log = _Log(checkpoint, model, survey, stream, chunk, every, saved)
+    with _bar("fit", survey.pairs, progress) as bar:
+        _absorb(model, _drained(head, pieces), held, survey, stream, log, bar)
+    scaled = model._scaled(survey.sample)
+    return model._conclude(scaled, scaled if held else None)
+
+
+# ------------------------------------------------------------------------------------------------------------------ the survey
+
+
+class _Survey(NamedTuple):
+    """What is known of the data before the first pair is absorbed."""
+
+    ranges: dict  # channel -> (lowest, highest)
+    pairs: int | None  # of all data, if it was counted
+    sample: Recording  # windows of equal length
+    held: dict  # number of a piece -> pairs at which windows begin that may be held out
+    length: int  # pairs of a window
+
+    def arrays(self):
+        where = [(number, start) for number, starts in self.held.items() for start in starts]
+        return {
+            "ranges": np.array(list(self.ranges.values())), "where": np.array(where, dtype=int).reshape(-1, 2), "length": np.array(self.length),
+            "states": self.sample.states, "inputs": self.sample.inputs,
+        }  # fmt: skip
+
+    @classmethod
+    def restored(cls, saved, stream, path):
+        header, arrays, _ = saved
+        if header["labels"] != _labels(stream.template):
+            raise store.CheckpointError(
+                f"checkpoint {path} belongs to other data (sampling time and channels were {header['labels']}, here they are "
+                f"{_labels(stream.template)}); use the data it was made of, give another path, or delete it to begin anew."
+            )
+        ranges = dict(zip((*stream.template.state_names, *stream.template.input_names), arrays["ranges"]))
+        held = {}
+        for number, start in arrays["where"].tolist():
+            held.setdefault(number, []).append(start)
+        return cls(ranges, header["total"], stream.template._with(list(arrays["states"]), list(arrays["inputs"])), held, int(arrays["length"]))
+
+
+def _survey(stream, head, rest, ranges, alone, progress):
+    """Ranges, sample and number of pairs: of the ``head`` alone, or of all."""
+    length = int(min(WINDOW - 1, np.median([piece.pairs for piece in head])))
+    windows, low, high = _Windows(max(length, 1), stream.shared), np.inf, -np.inf
+    any_piece = head[0]
+    with _bar("read", None, progress and not alone) as bar:
+        for number, piece in enumerate(head if alone else _drained(head, rest)):
+            bar.update(piece.pairs)
+            windows.look(number, piece)
+            if ranges is None:
+                values = [np.concatenate([f(piece.x, axis=0), f(piece.u, axis=0)]) for f in (np.min, np.max)]
+                low, high = np.minimum(low, values[0]), np.maximum(high, values[1])
+    if ranges is None:
+        ranges = dict(zip((*stream.template.state_names, *stream.template.input_names), zip(low, high)))
+    held = {}
+    for number, start, _ in windows.chosen.values():
+        held.setdefault(number, []).append(start)
+    sample = stream.recording([piece for *_, piece in windows.chosen.values()] or [any_piece])
+    return _Survey(ranges, None if alone else windows.seen, sample, held if length >= 9 else {}, windows.length)
+
+
+class _Windows:
+    """Windows of ``length`` pairs, a fifth of all pairs at most, evenly spread over a stream whose end is not known.
+
+    They stand on a grid of pairs. Whenever there are too many, every second one is dropped and the grid is twice as wide from there on.
+    """
+
+    def __init__(self, length, shared):
+        self.length, self.shared, self.step = length, shared, 5 * length
+        self.seen, self.chosen = 0, {}  # place on the grid -> (number of the piece, first pair, piece)
+
+    def look(self, number, piece):
+        free = 0  # first pair of this piece that is in no window
+        for k in range(-(-self.seen // self.step), -(-(self.seen + piece.pairs) // self.step)):
+            start = min(k * self.step - self.seen, piece.pairs - self.length)
+            if start >= free:
+                free = start + self.length
+                samples = slice(start, free + self.shared)
+                self.chosen[k] = number, start, Piece(piece.x[samples].copy(), piece.u[samples].copy(), self.length)
+        self.seen += piece.pairs
+        while len(self.chosen) > 2 * _WINDOWS:
+            self.step *= 2
+            self.chosen = {k // 2: window for k, window in self.chosen.items() if k % 2 == 0}
+
+
+# ------------------------------------------------------------------------------------------------------------------- the pass
+
+
+def _absorb(model, pieces, held, survey, stream, log, bar):
+    """All pieces, a chunk at a time, without the windows that are held out."""
+    group, waiting, seen = deque(), 0, 0
+    try:
+        for number, piece in enumerate(pieces):
+            bar.update(piece.pairs)
+            seen += piece.pairs
+            if log.knows(number, piece):
+                continue
+            group += without(piece, held.get(number, ()), survey.length, stream.shared)
+            waiting += piece.pairs
+            del piece
+            if waiting >= log.chunk:
+                with log.chunk_until(number):
+                    model._absorb(_scaled(model, stream, group))
+                waiting = 0
+        log.require_end(number + 1, seen)
+        with log.chunk_until(number, last=True):
+            model._absorb(_scaled(model, stream, group))
+    except UnreadableError as error:
+        if log.rescue():
+            raise UnreadableError(f"{error} What was fitted so far is kept in {log.path}: repair, and fit again to go on.") from error
+        raise
+    except BaseException:  # also when interrupted from the keyboard
+        log.rescue()
+        raise
+
+
+class _Log:
+    """How far the pass is, and the checkpoint that remembers it."""
+
+    def __init__(self, path, model, survey, stream, chunk, every, saved):
+        self.path, self.model, self.survey, self.labels, self.chunk, self.every = path, model, survey, _labels(stream.template), chunk, every
+        self.done, self.crc, self.finished, self.stored = 0, 0, False, 0
+        if saved:
+            header, _, restore = saved
+            restore(model)
+            self.done, self.crc, self.finished, self.stored = header["done"], header["crc"], header["finished"], header["done"]
+        self.sound, self.read, self.written = True, 0, time.monotonic()
+
+    def knows(self, number, piece):
+        """Whether the piece was absorbed before the checkpoint was written; a CheckpointError if those before it were others."""
+        if self.path is not None:
+            for values in (piece.x, piece.u):
+                self.read = zlib.crc32(np.ascontiguousarray(values), self.read)
+        if self.finished and number >= self.done:
+            raise self._other("there are more of them now")
+        if number == self.done - 1 and self.read != self.crc:
+            raise self._other("numbers have changed")
+        return number < self.done
+
+    def require_end(self, count, pairs):
+        """The data ended where they should."""
+        if count < self.done:
+            raise self._other("there are fewer of them now")
+        if self.survey.pairs not in (None, pairs):
+            raise ValueError(f"recording gave {self.survey.pairs} snapshot pairs when it was read first, and {pairs} now; it has to give the same each time.")
+
+    @contextlib.contextmanager
+    def chunk_until(self, number, last=False):
+        """Around the absorbing of a chunk that ends with a piece: counted when that is done."""
+        self.sound = False
+        yield
+        self.sound, self.done, self.crc, changed = True, number + 1, self.read, last != self.finished
+        self.finished = last
+        if self.path is not None and (changed if last else time.monotonic() - self.written >= self.every):
+            self._write()
+
+    def rescue(self):
+        """Write what is not written yet, unless a chunk is half absorbed; whether there is a checkpoint."""
+        if self.path is None:
+            return False
+        if self.sound and self.done > self.stored:
+            self._write()
+        return Path(self.path).exists()
+
+    def _write(self):
+        header = {"labels": self.labels, "total": self.survey.pairs, "chunk": self.chunk, "done": self.done, "crc": self.crc, "finished": self.finished}
+        store.write(self.path, self.model, header, self.survey.arrays())
+        self.written, self.stored = time.monotonic(), self.done
+
+    def _other(self, reason):
+        return store.CheckpointError(
+            f"checkpoint {self.path} belongs to other data ({reason}); use the data it was made of, give another path, or delete it to begin anew."
+        )
+
+
+def _scaled(model, stream, group):
+    """Scaled trajectories of some pieces, which are forgotten on the way."""
+    while group:
+        together, pairs = [], 0
+        while group and pairs < _TOGETHER:
+            together.append(group.popleft())
+            pairs += together[-1].pairs
+        scaled = model._scaled(stream.recording(together))
+        del together
+        yield from scaled
+
+
+def _head(pieces, pairs):
+    """The first pieces, of so many pairs together."""
+    head, count = [], 0
+    for piece in pieces:
+        head.append(piece)
+        count += piece.pairs
+        if count >= pairs:
+            break
+    if not head:
+        raise ValueError("recording is empty; give a tras.Recording, the path of a file, or some of them.")
+    return head
+
+
+def _bar(what, pairs, progress):
+    return tqdm(total=pairs, desc=what, unit=" pairs", unit_scale=True, disable=None if progress is None else not progress)
+
+
+def _drained(head, rest):
+    """The pieces of ``head``, which is emptied on the way, and of ``rest``."""
+    while head:
+        yield head.pop(0)
+    yield from rest
+
+
+def _labels(recording):
+    return [recording.dt, list(recording.state_names), list(recording.input_names)]
