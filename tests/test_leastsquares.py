@@ -294,6 +294,53 @@ def test_a_store_between_changes_no_bit(rows, stored_after):
     assert np.array_equal(straight.solve().R, stored.solve().R)
 
 
+@pytest.mark.parametrize("common", [False, True])
+@pytest.mark.parametrize("kind", ["alike", "scales", "directions", "degenerate"])
+def test_merged_solvers_are_as_good_as_one(kind, common):
+    """Four solvers of rows of one kind or of very different ones, against extended precision; condition 1e7 and more."""
+    rng = np.random.default_rng(2)
+    X = np.vander(rng.uniform(0.2, 1, 24_000), 10, increasing=True)
+    parts = np.array_split(np.arange(len(X)), 4)
+    if kind == "scales":
+        for k, part in enumerate(parts):
+            X[part] *= 10.0 ** (3 * k - 4)
+    elif kind == "directions":
+        X[parts[0], 9], X[parts[1], 9], X[parts[2], 3] = X[parts[0], 8], 0.0, X[parts[2], 4] * (1 + 1e-9)
+    elif kind == "degenerate":
+        X[parts[0]] = X[0]
+        X[parts[1], :9] = 0.0
+    Y = np.exp(X[:, 1:3]) + 0.1 * rng.normal(size=(len(X), 2))
+    solvers = [StreamingLeastSquares().update(X[part[:5000]], Y[part[:5000]]) for part in parts]
+    for solver, part in zip(solvers, parts):
+        if common:
+            solver.__dict__.update(solvers[0].emptied().update(X[part[:5000]], Y[part[:5000]]).__dict__)
+        solver.update(X[part[5000:]], Y[part[5000:]])  # these wait: fewer than a panel
+    before = {key: value.copy() for key, value in solvers[1].state().items()}
+    merged = StreamingLeastSquares()
+    for solver in solvers:
+        merged.merge(solver)
+    assert all(np.array_equal(value, before[key]) for key, value in solvers[1].state().items())
+    fit, straight = merged.solve(), least_squares([(X, Y)])
+    exact = extended(X, Y, straight.R)[0]
+    assert fit.rows == len(X) and fit.rank == 10
+    # Not worse than what rounding of the regressors alone does, but for a small factor; one solver is judged alike.
+    assert columnwise(straight.coefficients, exact) <= 20 * np.max(straight.rounding_error)
+    assert columnwise(fit.coefficients, exact) <= 20 * np.max(straight.rounding_error)
+    assert np.allclose(fit.residual, straight.residual, rtol=1e-10)
+    # ... and more rows may follow.
+    assert merged.update(X[:6000], Y[:6000]).solve().rows == 30_000
+
+
+def test_merging_nothing_and_what_does_not_fit(rows):
+    X, Y = rows
+    solver = StreamingLeastSquares().update(X, Y)
+    assert solver.merge(StreamingLeastSquares()) is solver and solver.rows == len(X)
+    copy = StreamingLeastSquares().merge(solver)
+    assert np.array_equal(copy.solve().coefficients, solver.solve().coefficients)
+    with pytest.raises(ValueError, match=r"other has .regressors, targets. \(14, 4\), these rows \(15, 4\)"):
+        solver.merge(StreamingLeastSquares().update(X[:, 1:], Y))
+
+
 def test_partial_updates_equal_the_solution_of_what_came_so_far(rows):
     X, Y = rows
     solver = StreamingLeastSquares()

@@ -121,14 +121,60 @@ class StreamingLeastSquares:
         """A basis for all rows so far and those of ``x``: from ``gram``, which holds both, or by Householder QR."""
         old = self._basis
         scale = np.maximum(old.scale, _powers_of_two(x))
-        ratio = old.scale / scale
-        factor = old.factor(_cholesky(self._gram if gram is None else gram + old.ridge_gram())) * ratio
-        self._basis = _Basis.of(_householder(x / scale, factor) if gram is None else factor, scale)
-        # Rows B of the old basis are B S in the new one, S = T_old^-1 T_new.
-        inverse, rest = old.inverse()
-        S = self._basis.multiply(inverse * ratio) + (rest * ratio) @ self._basis.T
+        factor = old.factor(_cholesky(self._gram if gram is None else gram + old.ridge_gram())) * (old.scale / scale)
+        self._change_basis(_Basis.of(_householder(x / scale, factor) if gram is None else factor, scale))
+
+    def _change_basis(self, new):
+        """G and C as they would be had the rows been written in another basis: rows B are B S there, S = T_old^-1 T_new."""
+        inverse, rest = self._basis.inverse()
+        ratio = self._basis.scale / new.scale
+        S = new.multiply(inverse * ratio) + (rest * ratio) @ new.T
         self._gram = S.T @ self._gram @ S
         self._cross = S.T @ self._cross
+        self._basis = new
+
+    def merge(self, other):
+        """Add the rows of another solver, which is not changed; returns self.
+
+        Solvers of one basis (see `emptied`) are added. Otherwise both are written in a basis made of their stacked triangular factors, a step of
+        TSQR, which costs as much as a few products of matrices of the size of the coefficients. The order of merging matters by rounding only.
+
+        Raises
+        ------
+        ValueError
+            If they have other numbers of regressors or targets.
+        """
+        if other.rows == 0:
+            return self
+        other = StreamingLeastSquares.from_state(other.state(), other.panel)
+        if self.rows == 0:
+            self.__dict__.update(other.__dict__)
+            return self
+        if other._shapes != self._shapes:
+            raise ValueError(f"other has (regressors, targets) {other._shapes}, these rows {self._shapes}; they must be alike.")
+        for solver in (self, other):
+            solver._work_off(max(solver.rows, 1))
+        if not self._basis.same_as(other._basis):
+            scale = np.maximum(self._basis.scale, other._basis.scale)
+            one, two = (s._basis.factor(_cholesky(s._gram + s._basis.ridge_gram())) * (s._basis.scale / scale) for s in (self, other))
+            common = _Basis.of(_householder(two, one), scale)
+            self._change_basis(common)
+            other._change_basis(common)
+        for name in ("_gram", "_cross", "_lengths", "_square"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        self.rows += other.rows
+        self._examined = 0.0  # the next rows decide whether the basis still serves
+        return self
+
+    def emptied(self):
+        """A solver without rows that begins with this one's basis, for rows of the same kind."""
+        if self._basis is None:
+            self._work_off(self.rows)
+        p, q = self._shapes
+        new = StreamingLeastSquares(self.panel)
+        new._shapes, new._basis, new._examined = self._shapes, self._basis, 0.0
+        new._gram, new._cross, new._lengths, new._square = np.zeros((p, p)), np.zeros((p, q)), np.zeros(p), np.zeros(q)
+        return new
 
     def solve(self, names=None):
         """Solution over all rows so far; rows may be added afterwards.
@@ -342,6 +388,9 @@ class _Basis:
             inverse = inverse + rest if _ else inverse
             rest = (np.eye(len(inverse)) - self.multiply(inverse)) @ inverse
         return inverse, rest
+
+    def same_as(self, other):
+        return self is other or (np.array_equal(self.T, other.T) and np.array_equal(self.scale, other.scale) and self.bits == other.bits)
 
     def ridge_gram(self):
         """What rows ``diag(ridge)`` would add to G."""

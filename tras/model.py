@@ -191,15 +191,18 @@ class KoopmanModel(BaseEstimator):
         return len(self.names_) - len(self.dictionary_.coordinates) - 1 - self._lifts_inputs * len(self.input_names_)
 
     def _absorb(self, scaled):
+        for block in koopman.snapshot_pairs(scaled, koopman.block_size(self.dictionary_), deal=True):
+            self._absorb_block(*block)
+
+    def _absorb_block(self, x, u, y):
         rows = koopman.rows if self._lifts_inputs else koopman.lifted_linear_rows
-        for x, u, y in koopman.snapshot_pairs(scaled, koopman.block_size(self.dictionary_), deal=True):
-            self._solver.update(*rows(self.dictionary_, x, u, y))
-            if self.extrapolation == "linear" and self._lifts_inputs and self._tail:
-                z = np.hstack([x, u]).T
-                if hasattr(self, "hull_"):
-                    self.hull_.widen(z)
-                else:
-                    self.hull_ = rollout.Hull(z, self.dictionary_.confined)
+        self._solver.update(*rows(self.dictionary_, x, u, y))
+        if self.extrapolation == "linear" and self._lifts_inputs and self._tail:
+            z = np.hstack([x, u]).T
+            if hasattr(self, "hull_"):
+                self.hull_.widen(z)
+            else:
+                self.hull_ = rollout.Hull(z, self.dictionary_.confined)
 
     def _choose_strength(self, scaled, held):
         self.errors_ = {}

@@ -4,6 +4,8 @@ A piece is a stretch of one trajectory. Neighbours share as many samples as a sn
 trajectory into the next.
 """
 
+import functools
+import itertools
 from pathlib import Path
 from typing import NamedTuple
 
@@ -94,8 +96,8 @@ class RecordingFile:
         labels = {label: getattr(self, label) for label in ("state_names", "state_units", "input_names", "input_units")}
         return Recording(np.zeros((1, 1, len(self.state_names))), np.zeros((1, 1, len(self.input_names))), self.dt, **labels)
 
-    def pieces(self, size, shared=1):
-        """Every `Piece` of at most ``size`` pairs, in order.
+    def pieces(self, size, shared=1, first=0, last=None):
+        """Every `Piece` of at most ``size`` pairs, in order; or only those of the numbers ``first`` to ``last - 1``.
 
         Raises
         ------
@@ -108,9 +110,9 @@ class RecordingFile:
         except OSError as error:
             raise UnreadableError(f"{self.path} cannot be opened any more ({error}); put it back.") from error
         with file:
-            for i, first, last in _spans(self.lengths, size, shared):
+            for i, a, b in itertools.islice(_spans(self.lengths, size, shared), first, last):
                 both = (self.state_names, self.input_names)
-                yield Piece(*(self._read(file, names, starts[i], i, first, last) for names in both), last - first - shared)  # and keep nothing of it
+                yield Piece(*(self._read(file, names, starts[i], i, a, b) for names in both), b - a - shared)  # and keep nothing of it
 
     def _read(self, file, names, start, i, first, last):
         values = np.empty((last - first, len(names)))
@@ -146,8 +148,29 @@ class Stream:
         self.source, self.size, self.shared, self.template = source, size, shared, None
         self.once = hasattr(source, "__next__")
 
-    def pieces(self):
-        """Each `Piece` in order; from the beginning each time, unless it can be read once only."""
+    def pieces(self, first=0, last=None):
+        """Each `Piece` in order, or those numbered ``first`` to ``last - 1``; from the beginning each time, unless it can be read once only."""
+        for recording in self.recordings():
+            count = sum(1 for _ in _spans(recording.lengths, self.size, self.shared)) if first or last is not None else 0
+            if first < count or not count:
+                read = recording.pieces if isinstance(recording, RecordingFile) else functools.partial(_in_memory, recording)
+                yield from read(self.size, self.shared, first, last)
+            first, last = max(0, first - count), None if last is None else last - count
+            if last is not None and last <= 0:
+                return
+
+    def counts(self):
+        """Pairs of each piece; nothing is read."""
+        return [b - a - self.shared for recording in self.recordings() for _, a, b in _spans(recording.lengths, self.size, self.shared)]
+
+    def opened(self):
+        """The same stream, of files that are open to be read anywhere and of recordings."""
+        new = Stream(list(self.recordings()), self.size, self.shared)
+        new.template = self.template
+        return new
+
+    def recordings(self):
+        """Each recording or file in turn, all with the same channels."""
         single = isinstance(self.source, (str, Path, Recording, RecordingFile))
         items = [self.source] if single else self.source() if callable(self.source) else self.source
         for k, item in enumerate([items] if isinstance(items, (Recording, RecordingFile)) else items):
@@ -157,7 +180,7 @@ class Stream:
             if self.template is None:
                 self.template = recording[:1] if isinstance(recording, Recording) else recording.nothing()
             require_alike(self.template, recording, k)
-            yield from recording.pieces(self.size, self.shared) if isinstance(recording, RecordingFile) else _in_memory(recording, self.size, self.shared)
+            yield recording
 
     def recording(self, pieces):
         """A `Recording` of some pieces."""
@@ -175,11 +198,11 @@ def without(piece, starts, length, shared):
     return left
 
 
-def _in_memory(recording, size, shared):
+def _in_memory(recording, size, shared, first=0, last=None):
     trajectories = list(recording)
-    for i, first, last in _spans(recording.lengths, size, shared):
+    for i, a, b in itertools.islice(_spans(recording.lengths, size, shared), first, last):
         x, u = trajectories[i]
-        yield Piece(x[first:last], u[first:last], last - first - shared)
+        yield Piece(x[a:b], u[a:b], b - a - shared)
 
 
 def _spans(lengths, size, shared):

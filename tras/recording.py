@@ -329,7 +329,6 @@ class Recording:
 
         return RecordingFile(path)
 
-
     def _with(self, states, inputs, **labels):
         """A recording of other data with this one's labels; the data are known to be sound, so nothing is checked again."""
         new = object.__new__(type(self))

@@ -15,7 +15,7 @@ import numpy as np
 from tqdm import tqdm
 
 from tras import checkpoint as store
-from tras import koopman, scaling
+from tras import distributed, koopman, scaling
 from tras.pieces import Piece, RecordingFile, Stream, UnreadableError, without
 from tras.recording import Recording, join, whole_number
 from tras.selection import WINDOW
@@ -35,7 +35,7 @@ def needed(source):
     return hasattr(source, "__iter__") and not isinstance(source, Recording) and not hasattr(source, "__array__")
 
 
-def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=None, every=60.0):
+def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=None, every=60.0, scheduler=None, parts=None):
     """Fit a `KoopmanModel` to data of any size; its ``fit`` calls this.
 
     A `Recording`, or a list of them, is fitted in memory unless a ``chunk`` is given; so are other data that are smaller than a chunk.
@@ -60,6 +60,11 @@ def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=Non
         Show a progress bar. Default: in a terminal.
     every : float
         Seconds.
+    scheduler : {None, "processes"} or str, optional
+        Who absorbs: this process, local processes, or the workers of the Dask scheduler at an address such as "tcp://host:8786". See
+        `tras.distributed.absorb`; not together with a checkpoint, and only for files and recordings.
+    parts : int, optional
+        Number of parts that workers take. The same number gives the same bits, whoever does the work.
 
     Returns
     -------
@@ -72,7 +77,10 @@ def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=Non
         With ``field="least_squares"``, which needs all data at once; if a piece cannot be read or holds NaN or infinity (with file, trajectory and
         samples); if the checkpoint belongs to another model or other data; and as for `KoopmanModel.fit`.
     """
-    if chunk is None and not needed(source):
+    spread = scheduler is not None or parts is not None
+    if spread:
+        _require_shareable(source, checkpoint, scheduler, parts)
+    if chunk is None and not needed(source) and not spread:
         recording = join(source)
         return model._begin(recording, scaling.checked(ranges, recording))._learn(recording)
     chunk = koopman.DEALT if chunk is None else whole_number("chunk", chunk)
@@ -82,7 +90,7 @@ def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=Non
     saved = None if checkpoint is None else store.read(checkpoint, model, chunk=chunk)
     pieces = stream.pieces()
     head = _head(pieces, 1 if saved else chunk)
-    if not saved and sum(piece.pairs for piece in head) < chunk:
+    if not (saved or spread) and sum(piece.pairs for piece in head) < chunk:
         whole = stream.recording(head)
         return model._begin(whole, scaling.checked(ranges, whole))._learn(whole)
     if model.field == "least_squares" and model.predictor == "vector_field":
@@ -95,9 +103,12 @@ def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=Non
         pieces = pieces if alone else stream.pieces()
     model._begin(survey.sample, survey.ranges)
     held = survey.held if model._chooses else {}
-    log = _Log(checkpoint, model, survey, stream, chunk, every, saved)
     with _bar("fit", survey.pairs, progress) as bar:
-        _absorb(model, _drained(head, pieces), held, survey, stream, log, bar)
+        if spread:
+            distributed.absorb(model, stream, held, survey.length, chunk, scheduler, parts, bar)
+        else:
+            log = _Log(checkpoint, model, survey, stream, chunk, every, saved)
+            _absorb(model, _drained(head, pieces), held, survey, stream, log, bar)
     scaled = model._scaled(survey.sample)
     return model._conclude(scaled, scaled if held else None)
 
@@ -294,6 +305,17 @@ def _head(pieces, pairs):
     if not head:
         raise ValueError("recording is empty; give a tras.Recording, the path of a file, or some of them.")
     return head
+
+
+def _require_shareable(source, checkpoint, scheduler, parts):
+    if hasattr(source, "__next__") or callable(source):
+        raise ValueError("recording is an iterator or a callable, which workers cannot share; give paths of files, or recordings.")
+    if checkpoint is not None:
+        raise ValueError("checkpoint is for a fit by one process; leave it out, or leave out scheduler and parts.")
+    if parts is not None and whole_number("parts", parts) < 1:
+        raise ValueError(f"parts = {parts}; give the number of parts of the data, 1 or more.")
+    if scheduler not in (None, "processes") and not (isinstance(scheduler, str) and "://" in scheduler):
+        raise ValueError(f"scheduler is {scheduler!r}; give None, 'processes', or an address such as 'tcp://host:8786'.")
 
 
 def _bar(what, pairs, progress):
