@@ -51,9 +51,12 @@ class Dictionary(BaseEstimator):
         return np.moveaxis(slopes, -1, 0).reshape(*leading, *slopes.shape[:2])
 
     def lift(self, z):
-        """The same as calling, for points in columns: (n + m, points) -> (N, points), every function a contiguous row."""
+        """The same as calling, for points in columns: (n + m, points) -> (N, points), every function a contiguous row.
+
+        Symbols in place of numbers give formulas (`tras.symbols`).
+        """
         head = 1 + len(z)
-        psi = np.empty((self._size, z.shape[1]))
+        psi = np.empty((self._size, z.shape[1]), dtype=np.result_type(z, float))
         psi[0] = 1
         psi[1:head] = z
         self._fill(psi, z)

@@ -121,7 +121,7 @@ class Mechanical(Dictionary):
 
 def _chebyshev(s, degree):
     """T_0 ... T_degree at s (points,): (degree + 1, points)."""
-    T = np.empty((degree + 1, len(s)))
+    T = np.empty((degree + 1, len(s)), dtype=np.result_type(s, float))
     T[0], T[1] = 1, s
     twice = 2 * s
     for k in range(2, degree + 1):

@@ -7,7 +7,7 @@ from scipy import linalg
 from sklearn.base import BaseEstimator, clone
 
 from tras import dictionary as dictionaries
-from tras import generator, koopman, metrics, rollout, scaling, stability, storage, streaming, summary
+from tras import export, export_c, export_mat, formulas, generator, koopman, metrics, rollout, scaling, stability, storage, streaming, summary
 from tras.leastsquares import StreamingLeastSquares
 from tras.recording import Recording, join
 from tras.regularization import METHODS, STRENGTHS, regularized
@@ -366,6 +366,30 @@ class KoopmanModel(BaseEstimator):
         """Write to ``path`` (.npz: plain arrays and one JSON header, no pickle). Same model, same bytes."""
         self._fitted()
         storage.save(self, path)
+
+    def export_mat(self, path):
+        """Write the model to ``path`` (.mat) and functions for MATLAB and GNU Octave beside it; see docs/export.md. Returns all paths."""
+        return export_mat.export_mat(self, path)
+
+    def export_c(self, path):
+        """Write the one-step predictor as C99 to ``path`` (.c) and a header beside it; see docs/export.md. Returns both paths."""
+        return export_c.export_c(self, path)
+
+    def formulas(self, recording=None, *, tolerance=1e-3, latex=False):
+        """The vector field, or with ``one_step`` the next states, as formulas in physical units: Python's arithmetic, or LaTeX.
+
+        Terms that change a row, over the recording or else the box around the training data, by less than the tolerance (a fraction of
+        its root mean square, with ``one_step`` of the change in a sample) are left out and counted; numbers have as many digits as it takes.
+        """
+        return formulas.formulas(self, recording, tolerance=tolerance, latex=latex)
+
+    def to_statespace(self):
+        """With ``lifted_linear``: ``z+ = A z + B u``, ``x = C z`` with the liftings z as states, z0 = ``lift(x0)``, u and x in physical units.
+
+        The constant function is the first state, with the eigenvalue one; offsets are in its column. A `control.StateSpace` if python-control
+        is installed, a named tuple ``(A, B, C, D, dt)`` otherwise.
+        """
+        return export.to_statespace(self)
 
     # ------------------------------------------------------------------------------------------------------------- inside
 

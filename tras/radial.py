@@ -46,6 +46,8 @@ class Radial(Dictionary):
 
     def _minus_squares(self, z, out):
         """``-|z - c|^2 / width^2`` = 2 c.z - |c|^2 - |z|^2 by one matrix product: no array of (centres, channels, points)."""
+        if z.dtype == object:  # symbols (`tras.symbols`): as a reader expects it
+            return -(((z[None] - self.centres_[..., None]) ** 2).sum(axis=1) / self.width_**2)
         np.matmul(self._slope, z, out=out)
         out -= self._level
         out -= np.add.reduce(z * z) / self.width_**2
@@ -110,7 +112,8 @@ class ThinPlate(Radial):
 
     def _fill(self, psi, z):
         tail = psi[1 + len(z) :]
-        squares = np.maximum(-self._minus_squares(z, tail), 1e-300)  # r^2 log r is 0 at 0
+        squares = -self._minus_squares(z, tail)
+        squares = squares + 1e-300 if z.dtype == object else np.maximum(squares, 1e-300)  # r^2 log r is 0 at 0
         np.multiply(squares / 2, np.log(squares), out=tail)
 
     def _fill_slopes(self, slopes, psi, z):

@@ -1,0 +1,154 @@
+"""Models for other programs: what MATLAB, C and formulas share (names, origin, the map in one place), and python-control.
+
+`tras.export_mat`, `tras.export_c` and `tras.formulas` write the rest. Nothing in the files tells the time: the same model, the same bytes.
+"""
+
+import keyword
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+import tras
+
+# Words that no function or variable may be called in C99, MATLAB or Octave, beside Python's own.
+_TAKEN = {
+    *keyword.kwlist,
+    *"auto break case char const continue default do double else enum extern float for goto if inline int long register restrict return".split(),
+    *"short signed sizeof static struct switch typedef union unsigned void volatile while main".split(),
+    *"catch classdef elseif end endfunction endif function global otherwise parfor persistent spmd until".split(),
+    *"exp log sin cos tan sinh cosh tanh sqrt pi e i j".split(),
+}
+
+
+class StateSpace(NamedTuple):
+    """``z[k+1] = A z[k] + B u[k]``, ``x[k] = C z[k] + D u[k]``, sampled every ``dt`` seconds. See `tras.KoopmanModel.to_statespace`."""
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    dt: float
+
+
+class Map(NamedTuple):
+    """What a step consists of, in scaled channels: ``matrix psi(P z) + outward (z - P z)``, P onto the hull; no hull is None.
+
+    The rates of all states for ``vector_field``, the n next states for ``one_step``.
+    """
+
+    matrix: np.ndarray
+    hull: object
+    outward: np.ndarray | None
+
+
+def map_of(model):
+    """The `Map` of a model that is not ``lifted_linear``."""
+    model._fitted()
+    rows = len(model.state_names_) if model.predictor == "one_step" else None
+    K, hull = model.koopman_matrix, getattr(model, "hull_", None)
+    matrix = model.W_ if model.predictor == "vector_field" else K[:, model.dictionary_.coordinates].T
+    outward = None if hull is None else model.outward_ if model.predictor == "vector_field" else model.outward_step_
+    return Map(matrix[:rows], hull, outward if outward is None else outward[:rows])
+
+
+def identifier(name, taken=()):
+    """``name`` as C, MATLAB and Python take it for a variable: ``"3 phi[-1]"`` becomes ``"x3_phi_1"``; none that is ``taken``.
+
+    Examples
+    --------
+    >>> identifier("phi[-1]"), identifier("while"), identifier("phi", taken={"phi"})
+    ('phi_1', 'while_', 'phi_2')
+    """
+    word = re.sub(r"\W+", "_", str(name), flags=re.ASCII).strip("_")[:40] or "x"
+    word = f"x{word}" if word[0].isdigit() else word
+    word = f"{word}_" if word in _TAKEN else word
+    found, k = word, 2
+    while found in taken:
+        found, k = f"{word}_{k}", k + 1
+    return found
+
+
+def identifiers(names, taken=()):
+    """An `identifier` for each name, no two alike and none ``taken``."""
+    found = []
+    for name in names:
+        found.append(identifier(name, {*found, *taken}))
+    return found
+
+
+def file_and_name(path, suffix):
+    """The path and the name of the functions in the file."""
+    path = Path(path)
+    if path.suffix != suffix:
+        raise ValueError(f"path {path} ends in {path.suffix!r}; give one that ends in {suffix}, for example model{suffix}.")
+    return path, identifier(path.stem)
+
+
+def origin(model, path=None, name=None):
+    """Where a file comes from, and what its numbers mean: lines of text."""
+    units = [unit or "unit unknown" for unit in (*model.state_units_, *model.input_units_)]
+    channels = [f"{channel} ({unit})" for channel, unit in zip((*model.state_names_, *model.input_names_), units)]
+    n = len(model.state_names_)
+    lines = [
+        f"A model identified by extended dynamic mode decomposition; written by tras {tras.__version__}.",
+        f"predictor {model.predictor}, dictionary {model.dictionary_!r}, N = {len(model.names_)}",
+        f"sampling time {model.dt_!r} s, delays {model.delays}, regularization {model.regularization} of strength {model.strength_!r}",
+        f"states: {', '.join(channels[:n])}",
+        f"inputs: {', '.join(channels[n:]) or 'none'}",
+    ]
+    if path is not None and path.stem != name:
+        lines.append(f"Functions are called {name}_..., because {path.stem!r} is no name in the language.")
+    return [" ".join(line.split()) for line in lines]
+
+
+def state_vector(model):
+    """What the vector x holds, a line each: ``x[0]: phi (rad)``, from 0; delayed samples behind the newest."""
+    names = model._channels(inputs=False)
+    units = list(model.state_units_) * (model.delays + 1) + list(model.input_units_) * model.delays
+    return [f"{name} ({unit})" if unit else name for name, unit in zip(names, units)]
+
+
+def to_statespace(model):
+    """A ``lifted_linear`` model as ``z[k+1] = A z[k] + B u[k]``, ``x[k] = C z[k] + D u[k]``.
+
+    The states z are the liftings, of scaled channels; u and x are in physical units. The constant function is the first state: its eigenvalue is
+    one, and what the offsets of the channels ask for stands in its column. So a run starts at ``model.lift(x0)``, never at zero. With delays x0 is
+    the delayed state, newest sample first, and x the newest sample.
+
+    Returns
+    -------
+    control.StateSpace or StateSpace
+        The first if python-control is installed, with the names of the channels; otherwise a named tuple ``(A, B, C, D, dt)``.
+
+    Raises
+    ------
+    ValueError
+        If the model is not fitted, or not ``lifted_linear``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x, u = np.random.default_rng(0).uniform(-1, 1, (2, 5, 20, 1))
+    >>> model = tras.KoopmanModel(tras.Monomials(2), "lifted_linear").fit(tras.Recording(x, u, 0.1))
+    >>> system = model.to_statespace()
+    >>> system.A.shape, system.B.shape, system.C.shape, system.dt
+    ((3, 3), (3, 1), (1, 3), 0.1)
+    """
+    model._fitted()
+    if model.predictor != "lifted_linear":
+        raise ValueError(f"predictor is {model.predictor!r}, which is no linear system; fit with predictor='lifted_linear'.")
+    n, m = len(model.state_names_), len(model.input_names_)
+    A, B = model.koopman_matrix.T.copy(), model.B_ / model.u_scale_
+    A[:, 0] -= B @ model.u_offset_  # the first function is the constant
+    C = np.zeros((n, len(A)))
+    C[:, 0] = model.x_offset_
+    C[np.arange(n), model.dictionary_.coordinates[:n]] = model.x_scale_
+    system = StateSpace(A, B, C, np.zeros((n, m)), float(model.dt_))
+    try:
+        import control
+    except ImportError:
+        return system
+    names = identifiers((*model.state_names_, *model.input_names_))
+    return control.ss(*system, inputs=names[n:], outputs=names[:n], states=[f"z{i}" for i in range(len(A))])
