@@ -1,10 +1,11 @@
 """Models in other programs: C, GNU Octave, python-control, paper. What they compute is what the model computes."""
 
 import ctypes
-import math
+import re
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import latex2mathml.converter
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.io import loadmat, savemat
 
 import tras
 from tras import export, symbols
+from tras.files import project_root
 
 CC = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 OCTAVE = shutil.which("octave-cli") or shutil.which("octave")
@@ -22,19 +24,20 @@ needs_octave = pytest.mark.skipif(OCTAVE is None, reason="GNU Octave is not inst
 
 PREDICTORS = ["vector_field", "one_step", "lifted_linear"]
 SHIPPED = {
-    "Monomials": tras.Monomials(3),
+    "Monomials": tras.Monomials(2),
     "Exponentials": tras.Exponentials(),
     "Fourier": tras.Fourier(),
     "GaussianRBF": tras.GaussianRBF(12, width="auto", centres="kmeans"),
     "ThinPlate": tras.ThinPlate(9, centres="data"),
-    "Mechanical": tras.Mechanical(5),
+    "Mechanical": tras.Mechanical(4),
     "Union": tras.Union(tras.Monomials(2), tras.GaussianRBF(4)),
     "Product": tras.Product(tras.Fourier(), tras.Monomials(1)),
 }
 CASES = [(name, predictor, 0, "linear") for name in SHIPPED for predictor in PREDICTORS]
 CASES += [(name, predictor, 2, "linear") for name in ("Monomials", "GaussianRBF") for predictor in PREDICTORS]
 CASES += [("Monomials", "vector_field", 0, "functions"), ("ThinPlate", "one_step", 1, "functions")]
-SOME = [case for case in CASES if case[0] in ("Monomials", "ThinPlate", "Mechanical") or case[2:] != (0, "linear")]
+SOME = [case for case in CASES if case[0] == "Monomials" and not case[2] or case[0] == "GaussianRBF" and case[2]]
+SOME += [("Mechanical", "vector_field", 0, "linear"), ("ThinPlate", "one_step", 1, "functions"), ("Product", "lifted_linear", 0, "linear")]
 
 
 @pytest.fixture(scope="module")
@@ -54,14 +57,17 @@ def fitted(experiment):
     return get
 
 
-def runs(model, samples, count=60):
-    """First samples (count, d + 1, n) and inputs (count, samples, m), inside the data and up to twice as far out."""
-    rng = np.random.default_rng(3)
+def runs(model, experiment, samples, count=60):
+    """First samples (count, d + 1, n) and inputs (count, samples, m): half of them of the data, half up to twice as far out and at random."""
+    rng, half = np.random.default_rng(3), count // 2
     n, m, d = len(model.x_scale_), len(model.u_scale_), model.delays
-    far = rng.uniform(0.2, 2, (count, 1, 1))
-    x0 = model.x_offset_ + model.x_scale_ * far * rng.uniform(-1, 1, (count, 1, n))
-    x0 = x0 + 0.01 * model.x_scale_ * rng.uniform(-1, 1, (count, d + 1, n))
-    return x0, model.u_offset_ + model.u_scale_ * far * rng.uniform(-1, 1, (count, samples, m))
+    data = experiment[:8].select(states=model.state_names_, inputs=model.input_names_).cut(samples)
+    chosen = rng.choice(len(data), half)
+    far = rng.uniform(0.2, 2, (count - half, 1, 1))
+    x0 = model.x_offset_ + model.x_scale_ * far * rng.uniform(-1, 1, (count - half, 1, n))
+    x0 = x0 + 0.01 * model.x_scale_ * rng.uniform(-1, 1, (count - half, d + 1, n))
+    inputs = model.u_offset_ + model.u_scale_ * far * rng.uniform(-1, 1, (count - half, samples, m))
+    return np.concatenate([data.states[chosen][:, : d + 1], x0]), np.concatenate([data.inputs[chosen], inputs])
 
 
 def stacked(model, x0, inputs):
@@ -102,13 +108,18 @@ def compiled(model, path):
 
 @needs_cc
 @pytest.mark.parametrize("case", CASES, ids=str)
-def test_c_predicts_what_python_predicts(case, fitted, tmp_path):
+def test_c_predicts_what_python_predicts(case, fitted, experiment, tmp_path):
     model = fitted(*case)
     call = compiled(model, tmp_path / "rig.c")
     d, n = model.delays, len(model.x_scale_)
-    x0, inputs = runs(model, d + 6)
+    x0, inputs = runs(model, experiment, d + 6)
     true = model.simulate(x0 if d else x0[:, 0], inputs)
     assert np.isfinite(true).all()
+    if hasattr(model, "hull_"):  # there are runs on both sides of its edge
+        x = (stacked(model, x0, inputs) - model._delayed(model.x_offset_, model.u_offset_)) / model._z_scale
+        points = np.hstack([x, (inputs[:, d] - model.u_offset_) / model.u_scale_]).T
+        outside = np.abs(model.hull_.nearest(points) - points).max(axis=0) > 1e-9
+        assert 5 <= outside.sum() <= 50
     for run, x in enumerate(stacked(model, x0, inputs)):
         if model.predictor == "lifted_linear":
             z = call("rig_lift", len(model.names_), x)
@@ -119,9 +130,8 @@ def test_c_predicts_what_python_predicts(case, fitted, tmp_path):
                 x = call("rig_read", n, z)
             else:
                 x = call("rig_step", len(x), x, inputs[run, k])
-                assert np.array_equal(x[n : n * (d + 1)], stacked(model, true[run : run + 1, k - d + 1 : k + 2], inputs[:1])[0, n : n * (d + 1)]) or (
-                    np.allclose(x[n : n * (d + 1)], true[run, k - d + 1 : k + 1][::-1].ravel(), rtol=1e-12, atol=1e-12)
-                )
+                wanted = stacked(model, true[run : run + 1, k - d + 1 : k + 2], inputs[run : run + 1, k - d + 1 : k + 2])[0]
+                assert np.allclose(x, wanted, rtol=1e-12, atol=1e-12)  # the shifted ones too
             assert error(model, x[:n], true[run, k + 1]) <= 1e-12
     if model.predictor == "vector_field":
         x = stacked(model, x0, inputs)
@@ -145,11 +155,11 @@ def test_c_of_a_system_without_inputs(predictor, tmp_path):
 
 
 @needs_cc
-def test_c_may_write_the_next_state_over_the_present_one(fitted, tmp_path):
+def test_c_may_write_the_next_state_over_the_present_one(fitted, experiment, tmp_path):
     model = fitted("GaussianRBF", "one_step", 2, "linear")
     model.export_c(tmp_path / "rig.c")
     call = compiled(model, tmp_path / "rig.c")
-    x0, inputs = runs(model, 3)
+    x0, inputs = runs(model, experiment, 3)
     x = stacked(model, x0, inputs)[0]
     wanted, same = call("rig_step", len(x), x, inputs[0, 2]), x.copy()
     library = ctypes.CDLL(str(tmp_path / "rig.so"))
@@ -170,11 +180,11 @@ def octave(folder, script):
 
 @needs_octave
 @pytest.mark.parametrize("case", SOME, ids=str)
-def test_octave_predicts_what_python_predicts(case, fitted, tmp_path):
+def test_octave_predicts_what_python_predicts(case, fitted, experiment, tmp_path):
     model = fitted(*case)
     model.export_mat(tmp_path / "rig.mat")
     d, n, samples = model.delays, len(model.x_scale_), model.delays + 6
-    x0, inputs = runs(model, samples)
+    x0, inputs = runs(model, experiment, samples)
     true = model.simulate(x0 if d else x0[:, 0], inputs)
     savemat(tmp_path / "in.mat", {"x": stacked(model, x0, inputs).T, "u": inputs.transpose(2, 0, 1)})
     if model.predictor == "lifted_linear":
@@ -217,18 +227,19 @@ def test_mat_file_holds_plain_arrays(fitted, tmp_path):
 
 
 @pytest.mark.parametrize("case", [("Monomials", "lifted_linear", 0, "linear"), ("GaussianRBF", "lifted_linear", 2, "linear")], ids=str)
-def test_state_space_simulates_what_the_model_simulates(case, fitted, monkeypatch):
+def test_state_space_simulates_what_the_model_simulates(case, fitted, experiment, monkeypatch):
     control = pytest.importorskip("control", reason="python-control is not installed")
     model, d = fitted(*case), case[2]
-    x0, inputs = runs(model, 60, count=1)
-    x0 = model.x_offset_ + (x0 - model.x_offset_) / 4
+    x0, inputs = runs(model, experiment, 60, count=2)
     true = model.simulate(x0[0] if d else x0[0, 0], inputs[0])[d:]
     z0 = model.lift(stacked(model, x0, inputs)[0])
     system = model.to_statespace()
     assert isinstance(system, control.StateSpace) and system.dt == 0.01
     assert system.output_labels == list(model.state_names_) and system.input_labels == ["u_phi", "u_psi"]
     response = control.forced_response(system, np.arange(60 - d) * 0.01, inputs[0, d:].T, z0)
-    assert error(model, response.outputs.T, true) <= 1e-12
+    found = np.asarray(response.outputs).T
+    # With delays a sample is twice the last one less the one before: rounding grows with the square of the time.
+    assert error(model, found[:10], true[:10]) <= 1e-12 and error(model, found, true) <= 1e-10
     assert np.array_equal(system.A[0], np.eye(len(z0))[0]) and not system.B[0].any()  # the constant stays one
     # Without python-control the same matrices.
     monkeypatch.setitem(sys.modules, "control", None)
@@ -241,24 +252,20 @@ def test_state_space_simulates_what_the_model_simulates(case, fitted, monkeypatc
 
 
 def run(text, channels, points):
-    """What the formulas' last lines give at points (points, channels): Python's arithmetic."""
-    names = [name for name in vars(math) if not name.startswith("_")]
-    found = []
-    for point in points:
-        known = {name: getattr(math, name) for name in names} | dict(zip(channels, map(float, point)))
-        exec(text, known)
-        found.append([value for name, value in known.items() if name.endswith(("_dt", "_next"))])
-    return np.array(found)
+    """What the formulas' last lines give at points (points, channels), as Python reads them."""
+    known = {name: getattr(np, name) for name in symbols.FUNCTIONS} | dict(zip(channels, np.transpose(points)))
+    exec(text, known)
+    return np.transpose([value + np.zeros(len(points)) for name, value in known.items() if name.endswith(("_dt", "_next"))])
 
 
-@pytest.mark.parametrize("tolerance", [0, 1e-6, 0.02])
+@pytest.mark.parametrize("tolerance", [0, 0.02])
 @pytest.mark.parametrize("case", [case for case in CASES if case[1] != "lifted_linear"], ids=str)
 def test_formulas_say_what_the_model_computes(case, tolerance, fitted, experiment):
     model = fitted(*case)
     recording = experiment[:8].select(states=model.state_names_, inputs=model.input_names_)
     text = model.formulas(recording, tolerance=tolerance)
     late = recording.delayed(model.delays, inputs=model.predictor == "one_step")
-    x, u = (np.concatenate(part)[::97] for part in zip(*late))
+    x, u = (np.concatenate(part)[::7] for part in zip(*late))
     channels = export.identifiers([*late.state_names, *late.input_names])
     values = run(text, channels, np.hstack([x, u]))
     if model.predictor == "vector_field":
@@ -269,26 +276,22 @@ def test_formulas_say_what_the_model_computes(case, tolerance, fitted, experimen
         wanted = model._step(z.T).T[:, :n] * model.x_scale_ + model.x_offset_
         size = wanted - x[:, :n]
     rms = lambda v: np.sqrt(np.mean(v**2, axis=0))  # noqa: E731
-    # The tolerance holds over 5000 samples of the recording; every 97th is another choice.
+    # The tolerance holds over 2000 samples of the recording; these are others.
     assert np.all(rms(values - wanted) <= max(1.2 * tolerance, 1e-8) * rms(size))
 
 
 def test_formulas_are_the_systems_own():
-    """x' = v, v' = u - 2 x - 0.5 v - x^3 comes out as it went in; LaTeX too."""
+    """x' = v, v' = u - 2 x - 0.5 v - x^3 comes out as it went in."""
     recording = ode_recording(lambda x, u: [x[1], -2 * x[0] - 0.5 * x[1] - x[0] ** 3 + u[0]], 0.02, n=2, m=1, trajectories=60)
     named = tras.Recording(recording.states, recording.inputs, 0.02, state_names=["x", "v"], input_names=["u"])
     model = tras.KoopmanModel(tras.Monomials(5), strength=0.0).fit(named)
     text = model.formulas(named, tolerance=0.01)
-    rates = text.splitlines()[-2:]
-    assert rates[0] == "dx_dt = v"
-    terms = rates[1].replace(" - ", " + -").removeprefix("dv_dt = ").replace("= -", "= + -").split(" + ")
-    factors = {name: float(number or 1) if number != "-" else -1.0 for number, _, name in (t.rpartition("*") if "**" not in t else ("-1", "", t) for t in terms) for name in [name.lstrip("-")]}  # fmt: skip
-    assert {"u", "x", "v"} <= set(factors) and factors["x"] == pytest.approx(-2, rel=0.02) and factors["v"] == pytest.approx(-0.5, rel=0.02)
-    assert "x**3" in rates[1] and len(terms) == 4
+    assert text.splitlines()[-2:] == ["dx_dt = v", "dv_dt = -2*x + u - x**3 - 0.5*v"]
+    assert r"\frac{d v}{d t} &= -2 \, x + u - {x}^{3} - 0.5 \, v" in model.formulas(named, tolerance=0.01, latex=True)
     assert "dv_dt: 52 of 56 terms left out" in text
 
 
-def test_latex_is_latex(fitted, experiment):
+def test_latex_is_latex(fitted):
     model = fitted("GaussianRBF", "vector_field", 0, "linear")
     latex = model.formulas(latex=True, tolerance=0.01)
     assert r"\frac{d \phi}{d t} &= " in latex and r"\dot{\phi}" in latex and r"u_{\psi}" in latex and r"\exp\left(-" in latex
@@ -327,11 +330,11 @@ def test_same_model_same_bytes(fitted, tmp_path):
 
 def test_awkward_names_are_made_ones_that_compile(tmp_path):
     plain = linear_system([[0, 1], [-2, -0.5]], [[0], [1]], 0.1)[0]
-    names = {"state_names": ["3 angle */ (°)", "while"], "input_names": ["exp"], "state_units": ["/* % '", "a\nb"]}
+    names = {"state_names": ["3 angle *\\ (°)", "while"], "input_names": ["exp"], "state_units": ["/* */ % '", "a\nb"]}
     model = tras.KoopmanModel(tras.Monomials(2), "one_step", strength=0.0).fit(tras.Recording(plain.states, plain.inputs, 0.1, **names))
     true = model.simulate([0.1, 0.2], [[0.3], [0.3]])[1]
     text = model.formulas(tolerance=0)
-    assert "Names: x3_angle is '3 angle */ (°)', while_ is 'while', exp_ is 'exp'." in text
+    assert "Names: x3_angle is '3 angle *\\\\ (°)', while_ is 'while', exp_ is 'exp'." in text
     assert np.allclose(run(text, ["x3_angle", "while_", "exp_"], [[0.1, 0.2, 0.3]])[0], true, rtol=1e-12)
     if CC:
         call = compiled(model, tmp_path / "2 rigs.c")
@@ -359,7 +362,7 @@ def test_a_dictionary_of_ones_own_travels_too(experiment, tmp_path):
 
     recording = experiment[:4].select(inputs=["u_phi", "u_psi"])
     model = tras.KoopmanModel(Tanh(), strength=0.0).fit(recording)
-    assert "tanh(2" in model.formulas(tolerance=0).replace("tanh(2.", "tanh(2")
+    assert "*tanh(" in model.formulas(tolerance=0)
     if CC:
         call = compiled(model, tmp_path / "own.c")
         x, u = recording.states[0, 7], recording.inputs[0, 7]
@@ -369,6 +372,20 @@ def test_a_dictionary_of_ones_own_travels_too(experiment, tmp_path):
         with pytest.raises(ValueError, match="dictionary 'Clipped' cannot be written as formulas .*its _fill may use"):
             call()
     assert not list(tmp_path.glob("no*"))
+
+
+def test_the_pages_examples_run(experiment, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = (project_root(Path(__file__).parent) / "docs" / "export.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    known = {"recording": experiment[:4].select(inputs=["u_phi", "u_psi"])}
+    exec("\n".join(blocks), known)
+    assert len(blocks) == 5 and {path.name for path in tmp_path.iterdir()} == {"rig.mat", "rig_step.m", "rig_field.m", "rig.c", "rig.h"}
+    if CC:
+        (tmp_path / "main.c").write_text(re.search(r"```c\n(.*?)```", page, re.DOTALL)[1])
+        subprocess.run([CC, "-std=c99", "-Wall", "-Wextra", "-Werror", "main.c", "rig.c", "-o", "main", "-lm"], check=True)
+        printed = float(subprocess.run(["./main"], check=True, capture_output=True, text=True).stdout)
+        assert printed == pytest.approx(known["model"].simulate([0.1, 0, 0, 0], np.zeros((101, 2)))[-1, 0], rel=1e-9)
 
 
 @pytest.mark.parametrize("dictionary", SHIPPED.values(), ids=SHIPPED)

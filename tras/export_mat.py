@@ -138,8 +138,8 @@ def _arrays(model, notes):
     linear = model.predictor == "lifted_linear"
     values = {
         "origin": _cells(notes), "predictor": model.predictor, "dt": float(model.dt_), "delays": float(model.delays),
-        "K": model.koopman_matrix, "x_offset": model.x_offset_, "x_scale": model.x_scale_, "u_offset": model.u_offset_,
-        "u_scale": model.u_scale_, "z_offset": model._delayed(model.x_offset_, model.u_offset_), "z_scale": model._z_scale,
+        "K": model.koopman_matrix, "x_offset": model.x_offset_, "x_scale": model.x_scale_, "z_scale": model._z_scale,
+        "z_offset": model._delayed(model.x_offset_, model.u_offset_), "u_offset": model.u_offset_[:, None], "u_scale": model.u_scale_[:, None],
         "functions": _cells(model.names_), "dictionary": _described(model.dictionary_),
     }  # fmt: skip
     for role in ("state", "input"):

@@ -82,7 +82,7 @@ def _points(model, recording):
     if recording is not None:
         recording = model._same_channels(join(recording))
         x, u = (np.concatenate(part) for part in zip(*recording.delayed(model.delays, inputs=model._keeps_inputs)))
-        chosen = np.linspace(0, len(x) - 1, min(len(x), 5000)).astype(int)
+        chosen = np.linspace(0, len(x) - 1, min(len(x), 2000)).astype(int)
         return np.hstack([x, u])[chosen].T, "the recording"
     rng, channels = np.random.default_rng(0), len(model._z_scale) + len(model.input_names_)
     z = rng.uniform(-1, 1, (channels, 2000))
@@ -112,7 +112,7 @@ def _shortest(expansion, rows, points, tolerance, of_change):
         monomials = list(row)
         kept.append([monomials[k] for k in order if k not in drop])
         exact.append((whole, size))
-    for digits in range(3, 18):
+    for digits in range(3 if tolerance else 17, 18):
         expansion.digits = digits
         errors = []
         for row, keep, (whole, size) in zip(rows, kept, exact):

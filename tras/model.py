@@ -269,8 +269,9 @@ class KoopmanModel(BaseEstimator):
         return eigenvalues[np.lexsort((-eigenvalues.imag, -np.abs(eigenvalues)))]
 
     def lift(self, x, u=None):
-        """``psi(x, u)`` of states (..., n) and inputs (..., m) in physical units -> (..., N)."""
+        """``psi(x, u)`` of states (..., n) and inputs (..., m) in physical units -> (..., N); with ``lifted_linear`` of the states alone."""
         self._fitted()
+        u = np.zeros((*np.shape(x)[:-1], len(self.input_names_))) if u is None and not self._lifts_inputs else u
         x, u = self._points(x, u)
         return self.dictionary_(x, u) if self._lifts_inputs else self.dictionary_(x)
 
