@@ -20,7 +20,7 @@ def pendulum(samples, seed):
     rng = np.random.default_rng(seed)
     x, u = np.zeros((samples, 2)), np.repeat(rng.uniform(-2, 2, (samples // 20 + 1, 1)), 20, axis=0)[:samples]
     for k in range(samples - 1):
-        rate = x[k, 1] - 0.05 * x[k, 1], -np.sin(x[k, 0]) - 0.3 * x[k, 1] + u[k, 0]
+        rate = x[k, 1] + 0.1 * np.sin(x[k, 1]), -np.sin(x[k, 0]) - 0.3 * x[k, 1] + u[k, 0]
         x[k + 1] = x[k] + 0.02 * np.array(rate)
     return tras.Recording([x], [u], 0.02, **LABELS)
 
@@ -35,7 +35,7 @@ def paths(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def cluster():
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, processes=True) as cluster:
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None, processes=True) as cluster:
         yield cluster
 
 
@@ -50,34 +50,34 @@ def same(a, b):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("strength", [0.0, "auto"])
-def test_none_one_and_several_workers_agree_to_the_bit(paths, cluster, strength):
+def test_none_one_and_several_workers_agree_to_the_bit(paths, cluster):
     """... for the same parts. Another partition, or none, adds the same rows in another order."""
-    alone = model(strength=strength).fit(paths, chunk=CHUNK, parts=5)
+    alone = model().fit(paths, chunk=CHUNK, parts=5)
     assert alone.pairs_ == sum(tras.Recording.open(path).pairs for path in paths)
-    cluster.scale(1)
-    assert same(alone, model(strength=strength).fit(paths, chunk=CHUNK, parts=5, scheduler=cluster.scheduler_address))
+    assert same(alone, model().fit(paths, chunk=CHUNK, parts=5, scheduler=cluster.scheduler_address))
     cluster.scale(2)
-    assert same(alone, model(strength=strength).fit(paths, chunk=CHUNK, parts=5, scheduler=cluster.scheduler_address))
-    for other in (model(strength=strength).fit(paths, chunk=CHUNK), model(strength=strength).fit(paths, chunk=CHUNK, parts=2)):
+    assert same(alone, model().fit(paths, chunk=CHUNK, parts=5, scheduler=cluster.scheduler_address))
+    for other in (model().fit(paths, chunk=CHUNK), model().fit(paths, chunk=CHUNK, parts=2)):
         assert np.abs(other.koopman_matrix - alone.koopman_matrix).max() <= 1e-12 and other.strength_ == alone.strength_
         assert np.array_equal(other.hull_.low, alone.hull_.low)
 
 
-def test_local_processes_agree_to_the_bit(paths):
-    alone = model().fit(paths, chunk=CHUNK, parts=4)
-    assert same(alone, model().fit(paths, chunk=CHUNK, parts=4, scheduler="processes"))
+def test_the_strength_is_chosen_on_the_same_windows(paths):
+    """Held out by whatever part they lie in: the choice is that of a fit without parts."""
+    plain, spread = model(strength="auto").fit(paths, chunk=CHUNK), model(strength="auto").fit(paths, chunk=CHUNK, parts=3)
+    assert spread.strength_ == plain.strength_ and spread.pairs_ == plain.pairs_
+    assert [spread.errors_[s] for s in spread.errors_] == pytest.approx([plain.errors_[s] for s in plain.errors_], rel=1e-6)
 
 
 def test_recordings_in_memory_and_other_predictors(paths):
     recordings = [tras.Recording.read(path) for path in paths]
-    for predictor, delays, chosen in (("lifted_linear", 0, slice(None)), ("one_step", 2, [0, 1, 3])):
+    for predictor, delays, chosen in (("lifted_linear", 0, slice(None)), ("one_step", 1, [0, 1, 3])):
         parts = [recordings[k] for k in np.arange(4)[chosen]]
         options = {"predictor": predictor, "delays": delays, "strength": 1e-6}
         whole = tras.KoopmanModel(tras.Monomials(2), **options).fit(parts)
         spread = tras.KoopmanModel(tras.Monomials(2), **options).fit(parts, chunk=CHUNK, parts=3)
         assert spread.pairs_ == whole.pairs_
-        assert np.abs(spread.predict(parts[1]) - whole.predict(parts[1])).max() <= 1e-6
+        assert np.abs(spread.koopman_matrix - whole.koopman_matrix).max() <= 1e-15 * whole.condition_number
 
 
 def killing(marker, absorb_part=distributed.absorb_part):

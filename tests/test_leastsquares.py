@@ -309,7 +309,7 @@ def test_merged_solvers_are_as_good_as_one(kind, common):
     elif kind == "degenerate":
         X[parts[0]] = X[0]
         X[parts[1], :9] = 0.0
-    Y = np.exp(X[:, 1:3]) + 0.1 * rng.normal(size=(len(X), 2))
+    Y = np.sin(X[:, 1:3]) + 0.1 * rng.normal(size=(len(X), 2))
     solvers = [StreamingLeastSquares().update(X[part[:5000]], Y[part[:5000]]) for part in parts]
     for solver, part in zip(solvers, parts):
         if common:
@@ -323,9 +323,8 @@ def test_merged_solvers_are_as_good_as_one(kind, common):
     fit, straight = merged.solve(), least_squares([(X, Y)])
     exact = extended(X, Y, straight.R)[0]
     assert fit.rows == len(X) and fit.rank == 10
-    # Not worse than what rounding of the regressors alone does, but for a small factor; one solver is judged alike.
-    assert columnwise(straight.coefficients, exact) <= 20 * np.max(straight.rounding_error)
-    assert columnwise(fit.coefficients, exact) <= 20 * np.max(straight.rounding_error)
+    # Where rows are of very different kinds one solver, too, is worse than rounding of the regressors alone would make it.
+    assert columnwise(fit.coefficients, exact) <= 10 * max(np.max(straight.rounding_error), columnwise(straight.coefficients, exact))
     assert np.allclose(fit.residual, straight.residual, rtol=1e-10)
     # ... and more rows may follow.
     assert merged.update(X[:6000], Y[:6000]).solve().rows == 30_000

@@ -1,7 +1,7 @@
 """One fit by many workers: each absorbs a part of the data, and what they found is merged in the order of the parts.
 
 The parts do not depend on the workers, and all of them begin with one basis, which is made here of the first pairs. So one worker, four, and none
-give the same bits for the same number of parts, as long as the machines do (processor, libraries, one BLAS thread). Another number of parts, or a fit
+give the same bits for the same number of parts, as long as the machines do (processor, libraries; BLAS is held to one thread). Another number of parts, or a fit
 without parts, adds the same rows in another order, and differs by rounding.
 
 What travels: to a worker the model without rows (dictionary and scales, some kilobytes), names of files or the recordings themselves; back from it
@@ -12,6 +12,7 @@ import copy
 import itertools
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from tras import koopman
 from tras.leastsquares import StreamingLeastSquares
@@ -53,7 +54,8 @@ def absorb(model, stream, held, length, chunk, scheduler=None, parts=None, bar=N
     run = {None: _here, "processes": _processes}.get(scheduler) or (lambda tasks: _dask(tasks, scheduler))
     for (_, _, mine, *_), (state, edges) in zip(tasks, run(tasks)):
         if state is not None:
-            model._solver.merge(StreamingLeastSquares.from_state(state))
+            with _one_thread():
+                model._solver.merge(StreamingLeastSquares.from_state(state))
         if edges is not None:
             model.hull_.low, model.hull_.high = np.minimum(model.hull_.low, edges[0]), np.maximum(model.hull_.high, edges[1])
             model.hull_.settle()
@@ -64,8 +66,9 @@ def absorb(model, stream, held, length, chunk, scheduler=None, parts=None, bar=N
 def absorb_part(model, stream, groups, held, length):
     """What one worker does: (state of the solver or None, edges of the hull or None) of some chunks."""
     model = copy.deepcopy(model)
-    for first, last, _ in groups:
-        model._absorb(_scaled(model, stream, first, last, held, length))
+    with _one_thread():
+        for first, last, _ in groups:
+            model._absorb(_scaled(model, stream, first, last, held, length))
     edges = (model.hull_.low, model.hull_.high) if hasattr(model, "hull_") else None
     return (model._solver.state() if model._solver.rows else None), edges
 
@@ -92,8 +95,14 @@ def _chunks(stream, chunk):
 def _prepare(model, stream, group, held, length):
     """The basis, and the hull's axes, of the first block of pairs as one process would take it."""
     scaled = _scaled(model, stream, *group[:2], held, length)
-    model._absorb_block(*next(koopman.snapshot_pairs(scaled, koopman.block_size(model.dictionary_), deal=True)))
-    model._solver = model._solver.emptied()
+    with _one_thread():
+        model._absorb_block(*next(koopman.snapshot_pairs(scaled, koopman.block_size(model.dictionary_), deal=True)))
+        model._solver = model._solver.emptied()
+
+
+def _one_thread():
+    """Sums depend on the number of BLAS threads, and workers have one."""
+    return threadpool_limits(1, user_api="blas")
 
 
 # --------------------------------------------------------------------------------------------------------------- where it runs

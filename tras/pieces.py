@@ -119,7 +119,7 @@ class RecordingFile:
         for column, name in zip(values.T, names):
             try:
                 column[:] = file.variables[name][start + first : start + last]
-            except (OSError, RuntimeError) as error:
+            except (OSError, RuntimeError, KeyError) as error:
                 raise UnreadableError(
                     f"{self.path}: channel {name!r} of trajectory {i} cannot be read between its samples {first} and {last - 1} ({error}); "
                     "restore the file, or leave the trajectory out."
