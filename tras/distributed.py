@@ -69,6 +69,7 @@ def absorb_part(model, stream, groups, held, length):
     with _one_thread():
         for first, last, _ in groups:
             model._absorb(_scaled(model, stream, first, last, held, length))
+        model._solver._work_off(max(model._solver.rows, 1))  # rows that wait would travel
     edges = (model.hull_.low, model.hull_.high) if hasattr(model, "hull_") else None
     return (model._solver.state() if model._solver.rows else None), edges
 
