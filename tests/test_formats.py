@@ -263,8 +263,8 @@ def test_the_sampling_time_is_the_plain_number_behind_the_stamps(dt, digits, sta
         ("time", "t T time Time_ms timestamp t_s time_stamp"),
         ("trial", "run trial_no Episode experimentId"),
         ("states", "q q1 qd dq2 x x_3 xdot y12 theta thetaDot theta_dot PHI yaw_rate motorAngle state position_x vel"),
-        ("inputs", "u u1 U_2 input3 torque motorTorque tau_1 pwm left_voltage cmd"),
-        (None, "ref theta_ref setpoint torque_angle temperature quantity uptime note column1 index error xray"),
+        ("inputs", "u u1 U_2 u_phi input3 torque motorTorque tau_1 tau_yaw pwm left_voltage cmd"),
+        (None, "ref theta_ref u_ref phi_u setpoint torque_angle temperature quantity uptime note column1 index error xray"),
     ],
 )
 def test_plain_names(role, words):

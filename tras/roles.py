@@ -112,6 +112,8 @@ def guess_role(name):
         return "trial"
     found = {role for role, known in (("states", _STATE), ("inputs", _INPUT)) if any(_core(word, known) for word in words)}
     unclear = {"ref", "reference", "setpoint", "target", "desired", "goal", "time", "error"} & set(words)
+    if words and words[0] in ("u", "tau", "input", "cmd"):
+        found = {"inputs"}  # u_phi: the input that moves phi
     return found.pop() if len(found) == 1 and not unclear else None
 
 
