@@ -173,7 +173,8 @@ def test_c_may_write_the_next_state_over_the_present_one(fitted, experiment, tmp
 
 def octave(folder, script):
     """Runs it in a folder and returns what it saved as out.mat."""
-    done = subprocess.run([OCTAVE, "--norc", "--quiet", "--no-gui", "--eval", f"{script}; save('-v7', 'out.mat', 'out');"], cwd=folder, capture_output=True, text=True)  # fmt: skip
+    command = [OCTAVE, "--norc", "--quiet", "--no-gui", "--eval", f"{script}; save('-v7', 'out.mat', 'out');"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     assert (folder / "out.mat").is_file(), done.stderr
     return loadmat(folder / "out.mat")["out"]
 
@@ -194,24 +195,28 @@ def test_octave_predicts_what_python_predicts(case, fitted, experiment, tmp_path
     out = octave(tmp_path, f"load in.mat; {start} for k = {d + 1}:{d + 5}, {step} end")
     assert error(model, out.transpose(1, 2, 0), true[:, d + 1 :]) <= 1e-12
     if model.predictor == "vector_field":
-        rates, wanted = octave(tmp_path, "load in.mat; out = rig_field(x, u(:, :, 1))").T, model.vector_field(stacked(model, x0, inputs), inputs[:, 0])
+        rates = octave(tmp_path, "load in.mat; out = rig_field(x, u(:, :, 1))").T
+        wanted = model.vector_field(stacked(model, x0, inputs), inputs[:, 0])
         assert np.allclose(rates, wanted, rtol=1e-12, atol=1e-12 * np.abs(wanted).max())
 
 
 @needs_octave
 def test_octave_without_inputs(tmp_path):
     recording = ode_recording(lambda x, u: [x[1], -x[0] - 0.1 * x[0] ** 3], 0.2, n=2)
-    for predictor, script in (("one_step", "a_step([0.3; -0.4], zeros(0, 1))"), ("lifted_linear", "b_read(b_step(b_lift([0.3; -0.4]), zeros(0, 1)))")):
+    scripts = {"one_step": "a_step([0.3; -0.4], zeros(0, 1))", "lifted_linear": "b_read(b_step(b_lift([0.3; -0.4]), zeros(0, 1)))"}
+    for predictor, script in scripts.items():
         model = tras.KoopmanModel(tras.Monomials(2), predictor, strength=0.0).fit(recording)
         model.export_mat(tmp_path / f"{script[0]}.mat")
-        assert error(model, octave(tmp_path, f"out = {script}")[:, 0], model.simulate([0.3, -0.4], np.empty((2, 0)))[1]) <= 1e-12
+        true = model.simulate([0.3, -0.4], np.empty((2, 0)))[1]
+        assert error(model, octave(tmp_path, f"out = {script}")[:, 0], true) <= 1e-12
 
 
 def test_mat_file_holds_plain_arrays(fitted, tmp_path):
     model = fitted("Union", "vector_field", 0, "linear")
     model.export_mat(tmp_path / "rig.mat")
     file = loadmat(tmp_path / "rig.mat", simplify_cells=True)
-    for key, value in {"K": model.koopman_matrix, "A": model.generator, "W": model.W_, "x_scale": model.x_scale_, "u_offset": model.u_offset_}.items():
+    wanted = {"K": model.koopman_matrix, "A": model.generator, "W": model.W_, "x_scale": model.x_scale_, "u_offset": model.u_offset_}
+    for key, value in wanted.items():
         assert np.array_equal(file[key], value)
     assert file["dt"] == 0.01 and list(file["functions"]) == model.names_ and list(file["state_units"]) == ["rad", "rad/s"] * 2
     assert np.array_equal(file["hull"]["axes"], model.hull_.axes)
@@ -374,6 +379,51 @@ def test_a_dictionary_of_ones_own_travels_too(experiment, tmp_path):
     assert not list(tmp_path.glob("no*"))
 
 
+def test_brackets_stand_where_they_must(experiment):
+    """Random expressions, written and read again; and some through all of a dictionary's formulas."""
+    rng = np.random.default_rng(0)
+
+    def random(depth, leaves):
+        if depth == 0 or rng.random() < 0.1:
+            return leaves[rng.integers(len(leaves))]
+        a, b = random(depth - 1, leaves), random(depth - 1, leaves)
+        return [lambda: a + b, lambda: a - b, lambda: a * b, lambda: a / b, lambda: -a, lambda: b - (a - b)][rng.integers(6)]()
+
+    table, values = {}, [0.7, -1.3, 2.1]
+    z = [symbols.Symbol("z", (i,), table) for i in range(3)]
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        expression = random(4, [*z, z[0].number(-0.4), z[0].number(3)])
+        rng = np.random.default_rng(seed)
+        try:
+            true = random(4, [*values, -0.4, 3.0])
+        except ZeroDivisionError:
+            continue
+        text = symbols.text(expression, symbols.C)
+        assert eval(text, {"z": values}) == pytest.approx(true, rel=1e-12, abs=1e-12), text
+
+    class Odd(tras.Monomials):
+        def _build(self):
+            super()._build()
+            self._levels = []
+            return 3
+
+        def _fill(self, psi, z):
+            a, b = z[:2]
+            psi[-3] = 1 / (1 + a**2) - (b - (a - b)) / (2 + b * b) / 3
+            psi[-2] = np.exp(-(a - 2 * b)) * (a - (b - 1)) / 7 - -(a + b) * (a - b)
+            psi[-1] = a / (3 / (2 + (a * b) * (a * b)))
+
+        def _tail_names(self, channels):
+            return ["f", "g", "h"]
+
+    recording = experiment[:4].select(inputs=["u_phi", "u_psi"])
+    model = tras.KoopmanModel(Odd(), strength=0.0).fit(recording)
+    x, u = recording.states[0], recording.inputs[0]
+    values = run(model.formulas(tolerance=0), [*model.state_names_, *model.input_names_], np.hstack([x, u]))
+    assert np.allclose(values, model.vector_field(x, u), rtol=1e-9, atol=1e-9)
+
+
 def test_the_pages_examples_run(experiment, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     page = (project_root(Path(__file__).parent) / "docs" / "export.md").read_text(encoding="utf-8")
@@ -395,7 +445,8 @@ def test_symbols_are_the_functions(dictionary):
     z = rng.uniform(-1, 1, (6, 50))
     psi = tras.dictionary.clone(dictionary).fit(z[:4].T, z[4:].T)
     values = np.full((len(psi.names), 50), np.nan)
-    exec("\n".join(line.removeprefix("const double ") for line in symbols.code(symbols.functions(psi), symbols.C)), {"z": z, "psi": values, **vars(np)})
+    code = symbols.code(symbols.functions(psi), symbols.C)
+    exec("\n".join(line.removeprefix("const double ") for line in code), {"z": z, "psi": values, **vars(np)})
     assert np.allclose(values, psi.lift(z), rtol=1e-13, atol=1e-13)
 
 

@@ -25,7 +25,7 @@ class Expansion:
 
     def rows(self, matrix):
         """The sum of each row of the map, in physical units."""
-        nodes = symbols.functions(self.model.dictionary_)
+        self.nodes = nodes = symbols.functions(self.model.dictionary_)  # kept, since sums are remembered by identity
         taken = [*self.names, *self.left, *self.scaled]
         sums = []
         for node, name in zip(nodes, self.model.names_):

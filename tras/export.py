@@ -110,6 +110,11 @@ def state_vector(model):
     return [f"{name} ({unit})" if unit else name for name, unit in zip(names, units)]
 
 
+def input_vector(model):
+    """The same of the vector u."""
+    return [f"{name} ({unit})" if unit else name for name, unit in zip(model.input_names_, model.input_units_)]
+
+
 def to_statespace(model):
     """A ``lifted_linear`` model as ``z[k+1] = A z[k] + B u[k]``, ``x[k] = C z[k] + D u[k]``.
 

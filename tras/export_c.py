@@ -3,7 +3,7 @@
 import numpy as np
 
 from tras import symbols
-from tras.export import file_and_name, map_of, origin, state_vector
+from tras.export import file_and_name, input_vector, map_of, origin, state_vector
 from tras.files import replacing
 
 _SHIFTS = """\
@@ -108,8 +108,9 @@ def export_c(model, path):
     """Write a model as C99: ``path``, which ends in .c, and a header of the same name.
 
     ``void NAME_step(const double *x, const double *u, double *x_next)`` predicts one sample, in physical units, beyond the training data too; NAME is
-    the file's. With delays x holds the newest sample, then the earlier ones, and with ``one_step`` then the earlier inputs, as the header lists. With
-    ``vector_field`` there is ``NAME_field``; with ``lifted_linear`` ``NAME_lift`` makes a lifting z of x, ``NAME_step`` works on z, and ``NAME_read`` reads x.
+    the file's. With delays x holds the newest sample, then the earlier ones, then, but for ``vector_field``, the earlier inputs, as the header
+    lists. With ``vector_field`` there is ``NAME_field``; with ``lifted_linear`` ``NAME_lift`` makes a lifting z of x, ``NAME_step`` works on z, and
+    ``NAME_read`` reads x.
 
     Returns
     -------
@@ -143,7 +144,7 @@ def _header(model, name):
     x, guard = state_vector(model), f"{name.upper()}_H"
     lines = [f"#ifndef {guard}", f"#define {guard}", "", "/*", " Vectors, in physical units:"]
     lines += [_comment(f"x[{i}]: {channel}") for i, channel in enumerate(x)]
-    lines += [_comment(f"u[{i}]: {channel}") for i, channel in enumerate(model.input_names_)]
+    lines += [_comment(f"u[{i}]: {channel}") for i, channel in enumerate(input_vector(model))]
     lines += [" No input: u is not looked at and may be NULL."] * (m == 0) + [" */"]
     lines += [f"#define {name.upper()}_STATES {len(x)}", f"#define {name.upper()}_INPUTS {m}"]
     lines += [f"#define {name.upper()}_LIFTED {len(model.names_)}"] * linear

@@ -7,7 +7,7 @@ from scipy.io import savemat
 
 import tras
 from tras import symbols
-from tras.export import file_and_name, map_of, origin, state_vector
+from tras.export import file_and_name, input_vector, map_of, origin, state_vector
 from tras.files import replacing
 
 _LOAD = """\
@@ -95,8 +95,8 @@ def export_mat(model, path):
     """Write a model for MATLAB and GNU Octave: arrays to ``path``, which ends in .mat, and functions beside it.
 
     ``x_next = NAME_step(x, u)`` predicts one sample, in physical units, a column a point, beyond the training data too; NAME is the file's. With
-    delays x holds the newest sample, then the earlier ones, and with ``one_step`` then the earlier inputs, as the comments list. With ``vector_field``
-    there is ``NAME_field``; with ``lifted_linear`` ``z = NAME_lift(x)``, then ``z = NAME_step(z, u)``, and ``x = NAME_read(z)``.
+    delays x holds the newest sample, then the earlier ones, then, but for ``vector_field``, the earlier inputs, as the comments list. With
+    ``vector_field`` there is ``NAME_field``; with ``lifted_linear`` ``z = NAME_lift(x)``, then ``z = NAME_step(z, u)``, and ``x = NAME_read(z)``.
 
     The .mat file (version 5) holds plain arrays, structs and cells: K, A, W or B, offsets and scales, names, units, dt, the hull, the dictionary.
 
@@ -205,7 +205,7 @@ def _functions(model, path, name, notes):
 def _vectors(model):
     """What the vectors hold."""
     lines = [f"x({i + 1}): {channel}" for i, channel in enumerate(state_vector(model))]
-    lines += [f"u({i + 1}): {channel}" for i, channel in enumerate(model.input_names_)] or ["u: no inputs; zeros(0, columns of x)"]
+    lines += [f"u({i + 1}): {channel}" for i, channel in enumerate(input_vector(model))] or ["u: no inputs; zeros(0, columns of x)"]
     return _comments(lines)
 
 
