@@ -145,7 +145,7 @@ def test_the_readme_holds_the_table(results, tmp_path, capsys):
     text = readme.read_text()
     assert text.count("\n| DMDc | 28 |") == 1 and "grey box, the plant's own equations" in text and text.endswith("b\n") and "| grey box" not in text
     error = results["scores"].query("method == 'DMDc' and input == 'torque' and horizon == 1 and angle == 'yaw' and recording == 'multisine 2'")["nrmse"].iloc[0]
-    assert f"| {error:.2g} / " in text
+    assert f"| {error:.3g} / " in text
     assert comparison_table.main([str(tmp_path / "comparison.csv")]) == 0 and "| DMDc | 28 |" in capsys.readouterr().out
     readme.write_text("no markers")
     assert comparison_table.main([str(tmp_path / "comparison.csv"), "--readme", str(readme)]) == 2 and "must hold" in capsys.readouterr().err

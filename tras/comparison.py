@@ -46,7 +46,7 @@ METHODS = {
         PolynomialNARX(2), PolynomialNARX(3), PolynomialNARX(3, terms=20), PolynomialNARX(4, terms=40), PolynomialNARX(1, lags=2), PolynomialNARX(2, lags=2, terms=30),
     ],
     "neural network": [
-        NeuralNARX((32,)), NeuralNARX((64,)), NeuralNARX((32, 32)), NeuralNARX((24, 24, 24)), NeuralNARX((32, 32), alpha=1e-3), NeuralNARX((32,), lags=2),
+        NeuralNARX((32,)), NeuralNARX((64,)), NeuralNARX((32, 32)), NeuralNARX((32,), iterations=100), NeuralNARX((32, 32), alpha=1e-3), NeuralNARX((32,), lags=2),
     ],
     "SINDy": [SINDy(2, 0.02), SINDy(2, 0.1), SINDy(3, 0.01), SINDy(3, 0.05), SINDy(3, 0.05, differentiation="forward"), SINDy(4, 0.1)],
     "EDMD (pykoop)": [PykoopEdmd(2), PykoopEdmd(3), PykoopEdmd(4), PykoopEdmd(3, alpha=1.0), PykoopEdmd(2, relift=False), PykoopEdmd(3, relift=False)],

@@ -64,7 +64,7 @@ def _cell(entry, *column):
     for angle in ("yaw", "pitch"):
         errors, diverged, windows = entry.get((*column, angle), ([], 0, 0))
         kept = [error for error in errors if not math.isnan(error)]
-        cells.append(f"{statistics.median(kept):.2g}" if kept else "-")
+        cells.append(f"{statistics.median(kept):.3g}" if kept else "-")
         lost = f" ({diverged} of {windows} diverged)" if diverged else ""
     return " / ".join(cells) + lost if entry.get((*column, "yaw")) else "-"
 
