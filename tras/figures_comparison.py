@@ -170,7 +170,8 @@ def _limit(axes, values):
     some = some[np.isfinite(some) & (some > 0)]
     if len(some):
         axes.set_ylim(some.min() / 1.5, min(some.max(), FAR * np.median(some)) * 1.5)
-        if some.max() / some.min() < 50:
+        low, high = axes.get_ylim()
+        if high / low < 50:
             axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
             axes.yaxis.set_major_formatter("{x:g}")
             axes.yaxis.set_minor_formatter("")
