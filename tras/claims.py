@@ -308,12 +308,10 @@ def main(arguments=None):
         print("\n".join(f"{row['claim']:>3}  {row['verdict']}  {row['statement']}" for row in rows))
         return 0
     try:
-        new = files.between(options.readme.read_text(encoding="utf-8"), BEGIN, END, markdown(rows), options.readme)
-    except ValueError as error:
+        files.write_between(options.readme, BEGIN, END, markdown(rows))
+    except (OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 2
-    with files.replacing(options.readme) as temporary:
-        temporary.write_text(new, encoding="utf-8")
     return 0
 
 

@@ -85,12 +85,10 @@ def main(arguments=None):
         if not options.readme:
             print(table)
             return 0
-        new = files.between(options.readme.read_text(encoding="utf-8"), BEGIN, END, table, options.readme)
-    except (ValueError, KeyError) as error:
+        files.write_between(options.readme, BEGIN, END, table)
+    except (OSError, ValueError, KeyError) as error:
         print(error, file=sys.stderr)
         return 2
-    with files.replacing(options.readme) as temporary:
-        temporary.write_text(new, encoding="utf-8")
     return 0
 
 

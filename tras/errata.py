@@ -211,12 +211,10 @@ def main(arguments=None):
     parser.add_argument("page", type=Path, help="a Markdown file with the two markers, such as docs/paper.md")
     page = parser.parse_args(arguments).page
     try:
-        new = files.between(page.read_text(encoding="utf-8"), BEGIN, END, markdown(table()), page)
+        files.write_between(page, BEGIN, END, markdown(table()))
     except (OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 2
-    with files.replacing(page) as temporary:
-        temporary.write_text(new, encoding="utf-8")
     return 0
 
 

@@ -49,9 +49,29 @@ def between(text, begin, end, new, name="the page"):
         If a marker is missing or stands twice.
     """
     if text.count(begin) != 1 or text.count(end) != 1:
-        raise ValueError(f"{name} must hold {begin!r} and {end!r} once each, around the place for the table; put them back.")
+        raise ValueError(f"{name} must hold the lines {begin!r} and {end!r} once each, around the place for the table; put them back.")
     before, rest = text.split(begin)
     return f"{before}{begin}\n{new}\n{end}{rest.split(end)[1]}"
+
+
+def write_between(path, begin, end, new):
+    """Write ``new`` into the file ``path``, between its two markers; see `between`.
+
+    Raises
+    ------
+    ValueError
+        Also if the file cannot be read.
+    OSError
+        If it cannot be written; it is then as it was.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ValueError(f"{path} cannot be read ({error.strerror}): check the path.") from error
+    changed = between(text, begin, end, new, path)
+    with replacing(path) as temporary:
+        temporary.write_text(changed, encoding="utf-8")
 
 
 def project_root(start=None):

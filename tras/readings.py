@@ -224,22 +224,15 @@ def main(arguments=None):
     import argparse
     import sys
 
-    from tras.files import replacing
+    from tras.files import write_between
 
     parser = argparse.ArgumentParser(prog="python -m tras.readings", description="Write the table of readings into a document.")
     parser.add_argument("document", type=Path)
-    path = parser.parse_args(arguments).document
     try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        print(f"{path} cannot be read ({error.strerror}): check the path.", file=sys.stderr)
+        write_between(parser.parse_args(arguments).document, BEGIN, END, markdown())
+    except (OSError, ValueError) as error:
+        print(error, file=sys.stderr)
         return 2
-    if text.count(BEGIN) != 1 or text.count(END) != 1:
-        print(f"{path} must hold the lines {BEGIN} and {END} once each, round the place for the table: put them there.", file=sys.stderr)
-        return 2
-    before, rest = text.split(BEGIN)
-    with replacing(path) as temporary:
-        temporary.write_text(f"{before}{BEGIN}\n{markdown()}\n{END}{rest.split(END)[1]}", encoding="utf-8")
     return 0
 
 
