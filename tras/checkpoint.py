@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ from sklearn.base import BaseEstimator
 
 from tras.files import replacing
 from tras.leastsquares import StreamingLeastSquares
-from tras.storage import HULL, restored_hull
+from tras.storage import HULL, UNREADABLE, read_npz, restored_hull
 
 _FORMAT = "tras checkpoint 1"
 
@@ -43,18 +42,14 @@ def read(path, model, **same):
     if not path.exists():
         return None
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {key: file[key] for key in file.files}
-        header = json.loads(str(arrays.pop("header")))
-        if header["format"] != _FORMAT:
-            raise ValueError(f"its format is {header['format']!r}, this release reads {_FORMAT!r}")
+        header, arrays = read_npz(path, _FORMAT)
         parts = {kind: {key.partition(".")[2]: v for key, v in arrays.items() if key.startswith(kind)} for kind in ("survey", "solver", "hull")}
         solver = StreamingLeastSquares.from_state(parts["solver"])
         hull = restored_hull(parts["hull"], header["free"]) if parts["hull"] else None
         _require_same(path, header, same | {"model": described(model)})
     except CheckpointError:
         raise
-    except (OSError, EOFError, KeyError, TypeError, AttributeError, ValueError, zipfile.BadZipFile) as error:
+    except UNREADABLE as error:
         raise CheckpointError(f"checkpoint {path} cannot be read ({error}); delete it to begin anew.") from error
 
     def restore(model):

@@ -15,6 +15,8 @@ from tras.recording import versions
 from tras.rollout import Hull
 
 _FORMAT = "tras model 2"
+# What reading a damaged file, and making something of what it holds, may raise.
+UNREADABLE = (OSError, EOFError, KeyError, TypeError, AttributeError, IndexError, ValueError, zipfile.BadZipFile)
 # What a file may hold: the dictionaries of this release.
 _KINDS = {
     name: kind
@@ -59,14 +61,19 @@ def load_model(path):
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist; fit a model and save it with model.save({str(path)!r}).")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {key: file[key] for key in file.files}
-        header = json.loads(str(arrays.pop("header")))
-        if header["format"] != _FORMAT:
-            raise ValueError(f"its format is {header['format']!r}, this release reads {_FORMAT!r}")
-        return _restore(header, arrays)
-    except (OSError, EOFError, KeyError, TypeError, AttributeError, IndexError, ValueError, zipfile.BadZipFile) as error:
+        return _restore(*read_npz(path, _FORMAT))
+    except UNREADABLE as error:
         raise ValueError(f"{path} cannot be read as a model ({error}); save it again with KoopmanModel.save.") from error
+
+
+def read_npz(path, form):
+    """(header, arrays) of an .npz file of plain arrays with a JSON header, which must name the format ``form``; raises one of `UNREADABLE`."""
+    with np.load(path, allow_pickle=False) as file:
+        arrays = {key: file[key] for key in file.files}
+    header = json.loads(str(arrays.pop("header")))
+    if header["format"] != form:
+        raise ValueError(f"its format is {header['format']!r}, this release reads {form!r}")
+    return header, arrays
 
 
 def _restore(header, arrays):
