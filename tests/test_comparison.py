@@ -68,6 +68,9 @@ def test_noise_and_fraction_reach_the_training_data(study, recordings):
     job = {"method": "DMDc", "input": "torque", "noise": 0.0, "smoothed": False, "fraction": 1.0}
     whole, few = (comparison.training(study, job | {"fraction": share}, recordings[0]) for share in (1.0, 0.2))
     noisy, smoothed = (comparison.training(study, job | {"noise": 1.0, "smoothed": some}, recordings[0]) for some in (False, True))
+    prepared = comparison.prepare(study, {"noise": 1.0, "smoothed": True}, recordings[0])
+    again = comparison.training(study, job | {"noise": 1.0, "smoothed": True}, recordings[0], prepared)
+    assert np.array_equal(np.stack(list(again.states)), np.stack(list(smoothed.states)))
     assert (len(whole), len(few)) == (12, 2) and whole.input_names == ("u_phi", "u_psi")
     clean = np.concatenate(list(whole.states))
     errors = [np.std(np.concatenate(list(each.states)) - clean, axis=0) / np.ptp(recordings[0].states[0], axis=0) for each in (noisy, smoothed)]

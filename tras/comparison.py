@@ -122,23 +122,23 @@ def run(study, train, validation, folder, *, processes=2, progress=None):
     places = [(cache.place(folder, "comparison", options := {**about, **job}, code), options) for job in wanted]
     found = [cache.read(*place) for place in places]
     missing = sorted((i for i, value in enumerate(found) if value is None), key=lambda i: -_cost(wanted[i]))
+    smoothed = prepare(study, {"noise": study.noise, "smoothed": True}, train) if any(wanted[i]["smoothed"] for i in missing) else None
     with tqdm(total=len(missing), desc="compare", file=progress, disable=progress is None) as bar:
-        work = (delayed(_store)(places[i], study, wanted[i], train, validation) for i in missing)
+        work = (delayed(_store)(places[i], study, wanted[i], train, validation, smoothed if wanted[i]["smoothed"] else None) for i in missing)
         for _ in Parallel(n_jobs=processes, return_as="generator_unordered")(work):
             bar.update()
     found = [cache.read(*place) if value is None else value for place, value in zip(places, found)]
     return _tables(wanted, found)
 
 
-def case(study, job, train, validation):
-    """One method under one condition: dict of ``scores, tuning, times, parameters, failure``."""
+def case(study, job, train, validation, prepared=None):
+    """One method under one condition: dict of ``scores, tuning, times, parameters, failure``. ``prepared``: as in `training`."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")  # of libraries, on ill-conditioned candidates: their errors say it
-        return _case(study, job, train, validation)
+        return _case(study, job, training(study, job, train, prepared), validation)
 
 
-def _case(study, job, train, validation):
-    data = training(study, job, train)
+def _case(study, job, data, validation):
     began = time.process_time()
     try:
         model, tried = choose(data, METHODS[job["method"]])
@@ -154,13 +154,15 @@ def _case(study, job, train, validation):
     return {"scores": scores, "tuning": rows, "times": times, "parameters": n_parameters(model), "failure": ""}
 
 
-def training(study, job, train):
-    """The trajectories that a job may see: noise and smoothing before the cut, then the share of them."""
-    recording = train.select(inputs=CHANNELS[job["input"]])
-    if job["noise"]:
-        recording = add_noise(recording, job["noise"] / 100, study.noise_seed)
-    if job["smoothed"]:
-        recording = smooth(recording, STATES_PAIRED)
+def prepare(study, job, train):
+    """The whole training recording with the job's noise, smoothed if it says so: before any cut, whose shared samples then stay one."""
+    recording = add_noise(train, job["noise"] / 100, study.noise_seed) if job["noise"] else train
+    return smooth(recording, STATES_PAIRED) if job["smoothed"] else recording
+
+
+def training(study, job, train, prepared=None):
+    """The trajectories that a job may see; ``prepared`` is what `prepare` gives, if it is at hand."""
+    recording = (prepare(study, job, train) if prepared is None else prepared).select(inputs=CHANNELS[job["input"]])
     pieces, _ = recording.cut(round(study.trajectory / recording.dt) + 1).split(study.train_fraction, study.split_seed)
     order = np.random.default_rng(study.split_seed).permutation(len(pieces))
     return pieces[np.sort(order[: max(1, round(job["fraction"] * len(pieces)))])]
@@ -221,8 +223,8 @@ def n_parameters(model):
 # ------------------------------------------------------------------------------------------------------------------------- parts
 
 
-def _store(place, study, job, train, validation):
-    cache.write(*place, case(study, job, train, validation))
+def _store(place, study, job, train, validation, prepared):
+    cache.write(*place, case(study, job, train, validation, prepared))
 
 
 def _is_main(job):
