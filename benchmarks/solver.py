@@ -35,7 +35,7 @@ def scaled_recording(inputs):
 
 
 def blocks(dictionary, recording):
-    for x, u, y in koopman.snapshot_pairs(recording, koopman.block_size(dictionary), deal=True):
+    for x, u, y in koopman.snapshot_pairs(recording, koopman.block_size(dictionary), deal=1):
         yield koopman.rows(dictionary, x, u, y)
 
 

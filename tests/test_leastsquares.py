@@ -408,3 +408,60 @@ def test_memory_does_not_grow_with_the_rows():
 
     peak(5000)  # what is imported or cached on first use does not count
     assert peak(200_000) <= 1.1 * peak(20_000)
+
+
+# ------------------------------------------------------------------------------------------------------------------ by threads
+
+
+@pytest.fixture(scope="module")
+def strange_blocks():
+    """Blocks of one panel's size, smaller ones between them, and a direction that only later ones contain."""
+    rng = np.random.default_rng(5)
+    blocks = []
+    for k, rows in enumerate([4096, 4500, 8191, 4100, 100, 4096, 5000, 9000, 4096, 30, 4200]):
+        x = rng.normal(size=(rows, 12))
+        x[:, 11] = x[:, 10] * (1 + 1e-7 * rng.normal(size=rows)) if k < 3 else x[:, 11]
+        x[:, 9] *= 1e-9 if k < 8 else 1.0
+        blocks.append((np.asfortranarray(x), np.sin(np.asfortranarray(x)[:, :3])))
+    return blocks
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_blocks_by_threads_have_the_bits_of_blocks_one_after_the_other(strange_blocks, threads):
+    renewed, straight, lifted = [], StreamingLeastSquares(), StreamingLeastSquares()
+    lifted._renew_basis = lambda *arguments: (renewed.append(1), StreamingLeastSquares._renew_basis(lifted, *arguments))
+    for x, y in strange_blocks:
+        straight.update(x, y)
+    lifted.update_lifted(strange_blocks, lambda block: tuple(part.copy(order="F") for part in block), threads)
+    assert renewed and lifted.rows == straight.rows
+    for name, value in straight.state().items():
+        assert np.array_equal(lifted.state()[name], value), name
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_mistakes_in_a_thread_reach_the_caller(strange_blocks, threads):
+    def lift(block):
+        if len(block[0]) == 5000:
+            raise ZeroDivisionError("in a thread")
+        return block[0].copy(), block[1]
+
+    with pytest.raises(ZeroDivisionError, match="in a thread"):
+        StreamingLeastSquares().update_lifted(strange_blocks, lift, threads)
+    spoilt = [(x.copy(), y) for x, y in strange_blocks]
+    spoilt[3][0][17, 2] = np.nan
+    with pytest.raises(ValueError, match="regressors or targets hold NaN"):
+        StreamingLeastSquares().update_lifted(spoilt, lambda block: (block[0].copy(), block[1]), threads)
+
+
+def test_leading_bits_are_multiplied_exactly_only_where_terms_cancel():
+    """One product where it is good to ten digits, which the solution against extended precision shows; two beyond."""
+    rng = np.random.default_rng(0)
+    outcome = {}
+    for size in (1e-4, 1e-9):
+        X = rng.normal(size=(9000, 6))
+        X[:, 4] = X[:, 1] + size * X[:, 4]
+        Y = np.sin(X[:, :2])
+        solver = StreamingLeastSquares().update(X, Y)
+        fit = solver.solve()
+        outcome[size] = solver._basis.split, columnwise(fit.coefficients, extended(X, Y, fit.R)[0])
+    assert outcome[1e-4] == (False, pytest.approx(0, abs=1e-11)) and outcome[1e-9] == (True, pytest.approx(0, abs=1e-6))

@@ -12,6 +12,7 @@ import itertools
 import numpy as np
 from sklearn.base import BaseEstimator, clone
 
+STRIP = 512  # points that are lifted at a time, so that what is made on the way stays in the cache
 
 class Dictionary(BaseEstimator):
     """N functions of n states and m inputs, with names and exact Jacobians; scikit-learn conventions.
@@ -50,16 +51,20 @@ class Dictionary(BaseEstimator):
         slopes = self.lift_slopes(z)
         return np.moveaxis(slopes, -1, 0).reshape(*leading, *slopes.shape[:2])
 
-    def lift(self, z):
+    def lift(self, z, out=None):
         """The same as calling, for points in columns: (n + m, points) -> (N, points), every function a contiguous row.
 
-        Symbols in place of numbers give formulas (`tras.symbols`).
+        ``out`` takes the result, if given. Symbols in place of numbers give formulas (`tras.symbols`).
         """
-        head = 1 + len(z)
-        psi = np.empty((self._size, z.shape[1]), dtype=np.result_type(z, float))
+        head, points = 1 + len(z), z.shape[1]
+        psi = np.empty((self._size, points), dtype=np.result_type(z, float)) if out is None else out
         psi[0] = 1
         psi[1:head] = z
-        self._fill(psi, z)
+        if points <= STRIP:
+            self._fill(psi, z)
+        else:
+            for a in range(0, points, STRIP):
+                self._fill(psi[:, a : a + STRIP], z[:, a : a + STRIP])
         return psi
 
     def lift_slopes(self, z):
@@ -148,14 +153,21 @@ class Monomials(Dictionary):
         letter = [word[0] if word else 0 for word in words]
         ends = np.cumsum(np.bincount([len(word) for word in words]))
         self._levels = [(slice(a, b), np.array(first[a:b]), np.array(letter[a:b])) for a, b in zip(ends[1:-1], ends[2:])]
+        # The monomials of a level that begin with one channel stand together, and so do the shorter ones.
+        same = [list(group) for _, group in itertools.groupby(range(1 + channels, len(words)), key=lambda j: (len(words[j]), letter[j]))]
+        self._runs = [(slice(j[0], j[-1] + 1), slice(first[j[0]], first[j[-1]] + 1), letter[j[0]]) for j in same]
         # d/dx_i of a monomial is its exponent times the monomial with one x_i less.
         self._slopes = self._exponents[:, : self.n_states_, None].astype(float)
         self._lowered = np.array([[_without(word, i, place) for i in range(self.n_states_)] for word in words])
         return len(words) - 1 - channels
 
     def _fill(self, psi, z):
-        for level, shorter, letter in self._levels:
-            np.multiply(psi[shorter], z[letter], out=psi[level])
+        if z.shape[1] < STRIP // 2:  # calls cost more than copies
+            for level, shorter, letter in self._levels:
+                np.multiply(psi[shorter], z[letter], out=psi[level])
+        else:
+            for run, shorter, letter in self._runs:
+                np.multiply(psi[shorter], z[letter], out=psi[run])
 
     def _fill_slopes(self, slopes, psi, z):
         np.multiply(self._slopes, psi[self._lowered], out=slopes)

@@ -68,7 +68,7 @@ def absorb_part(model, stream, groups, held, length):
     model = copy.deepcopy(model)
     with _one_thread():
         for first, last, _ in groups:
-            model._absorb(_scaled(model, stream, first, last, held, length))
+            model._absorb(_scaled(model, stream, first, last, held, length), threads=1)
         model._solver._work_off(max(model._solver.rows, 1))  # rows that wait would travel
     edges = (model.hull_.low, model.hull_.high) if hasattr(model, "hull_") else None
     return (model._solver.state() if model._solver.rows else None), edges
@@ -97,7 +97,7 @@ def _prepare(model, stream, group, held, length):
     """The basis, and the hull's axes, of the first block of pairs as one process would take it."""
     scaled = _scaled(model, stream, *group[:2], held, length)
     with _one_thread():
-        model._absorb_block(*next(koopman.snapshot_pairs(scaled, koopman.block_size(model.dictionary_), deal=True)))
+        model._absorb(scaled, threads=1, most=1)
         model._solver = model._solver.emptied()
 
 

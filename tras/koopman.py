@@ -5,14 +5,20 @@ of a QR decomposition. Fitted is the change D = K - I, because ``psi(y) - psi(x)
 relative to D, which is what the logarithm needs, and functions that do not change (the constant, the inputs) get exactly zero.
 """
 
+import os
+import threading
+from multiprocessing import parent_process
+
 import numpy as np
 
 from tras.leastsquares import StreamingLeastSquares
 
 DEALT = 2**20  # pairs that are shuffled at a time, 80 MB for ten channels
+SUIT = 8  # successive pairs that are dealt together where they share liftings
+_MOST_THREADS = 8
 
 
-def snapshot_pairs(recording, block=4096, deal=False):
+def snapshot_pairs(recording, block=4096, deal=0):
     """Blocks ``(x, u, y)`` of snapshot pairs (12): ``y`` follows ``x`` by one sample while ``u`` is held.
 
     Pairs are formed inside each trajectory and never reach from one into the next.
@@ -22,8 +28,8 @@ def snapshot_pairs(recording, block=4096, deal=False):
     recording : Recording
     block : int
         Pairs a block, about.
-    deal : bool
-        Deal the pairs out like cards, every k-th one into one block, so that each block is typical of all.
+    deal : int
+        Deal the pairs out like cards, so many successive ones at a time, every k-th such lot into one block: each block is then typical of all.
 
     Yields
     ------
@@ -32,10 +38,20 @@ def snapshot_pairs(recording, block=4096, deal=False):
     """
     for x, u, y in _stretches(recording, max(block, DEALT) if deal else block):
         if deal:
-            hands = max(1, round(len(x) / block))
-            yield from ((x[k::hands], u[k::hands], y[k::hands]) for k in range(hands))
+            hands = max(1, len(x) // (block + deal - 1))  # of ``block`` pairs at least
+            for k in range(hands):
+                chosen = _hand(len(x), k, hands, deal)
+                yield tuple(values[chosen].copy() for values in (x, u, y))  # views would keep all of them in memory
         else:
             yield x, u, y
+
+
+def _hand(pairs, k, hands, lot):
+    """What selects the pairs that are dealt to hand ``k``."""
+    if lot == 1:
+        return slice(k, None, hands)
+    some = (np.arange(k * lot, pairs, hands * lot)[:, None] + np.arange(lot)).ravel()
+    return some[some < pairs]
 
 
 def _stretches(recording, size):
@@ -58,17 +74,59 @@ def _joined(parts):
     return parts[0] if len(parts) == 1 else tuple(map(np.concatenate, zip(*parts)))
 
 
-def rows(dictionary, x, u, y):
-    """Regressors ``psi(x, u)`` and targets ``psi(y, u) - psi(x, u)`` of pairs; the same ``u`` in both."""
-    before = dictionary(x, u)
-    return before, dictionary(y, u) - before
+def rows(dictionary, x, u, y, buffer=None):
+    """Regressors ``psi(x, u)`` and targets ``psi(y, u) - psi(x, u)`` of pairs; the same ``u`` in both. (pairs, N) both, column by column.
+
+    Where a pair begins at the end of the one before it, under the same input (there is none, or it was held), its lifting serves both.
+    ``buffer(number, rows, columns)`` supplies the memory.
+    """
+    z, _ = dictionary._points(x, u)
+    N, pairs, buffer = dictionary._size, len(x), buffer or _fresh
+    before = dictionary.lift(z, out=buffer(0, N, pairs))
+    change = buffer(1, N, pairs)
+    shared = (y[:-1] == x[1:]).all(axis=1) & (u[:-1] == u[1:]).all(axis=1)
+    if 2 * np.count_nonzero(shared) < pairs:
+        dictionary.lift(dictionary._points(y, u)[0], out=change)
+        change -= before
+    else:
+        np.subtract(before[:, 1:], before[:, :-1], out=change[:, :-1])
+        alone = np.flatnonzero(~np.append(shared, False))
+        change[:, alone] = dictionary.lift(dictionary._points(y[alone], u[alone])[0]) - before[:, alone]
+    return before.T, change.T
 
 
-def lifted_linear_rows(dictionary, x, u, y):
+def lifted_linear_rows(dictionary, x, u, y, buffer=None):
     """The same for ``psi(y) = A psi(x) + B u`` (M. Korda and I. Mezic, Automatica 93, 2018, 149), the inputs behind the states."""
-    before = dictionary(x)
-    head = 1 + x.shape[1]
-    return np.hstack([before[:, :head], u, before[:, head:]]), dictionary(y) - before
+    before, change = rows(dictionary, x, np.empty((len(x), 0)), y, buffer)
+    head, m = 1 + x.shape[1], u.shape[1]
+    regressors = (buffer or _fresh)(2, before.shape[1] + m, len(x))
+    regressors[:head], regressors[head : head + m], regressors[head + m :] = before.T[:head], u.T, before.T[head:]
+    return regressors.T, change
+
+
+def lifting(dictionary, of=rows):
+    """``(x, u, y) -> (regressors, targets)`` in memory that each thread uses again and again."""
+    own = threading.local()
+
+    def buffer(number, rows, columns):
+        kept = own.__dict__.setdefault("kept", {})
+        if number not in kept or kept[number].size < rows * columns:
+            kept[number] = np.empty(rows * columns)
+        return kept[number][: rows * columns].reshape(rows, columns)
+
+    return lambda block: of(dictionary, *block, buffer)
+
+
+def _fresh(number, rows, columns):
+    return np.empty((rows, columns))
+
+
+def processors():
+    """Threads that a fit takes unless told otherwise: one a processor that this process may use; one in a process among others, which share them."""
+    if parent_process() is not None:
+        return 1
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(usable, _MOST_THREADS)
 
 
 def koopman_matrix(dictionary, recording, names=None):
@@ -86,8 +144,7 @@ def koopman_matrix(dictionary, recording, names=None):
         If there are fewer pairs than functions, or the functions are linearly dependent on the data.
     """
     solver = StreamingLeastSquares()
-    for x, u, y in snapshot_pairs(recording, block_size(dictionary), deal=True):
-        solver.update(*rows(dictionary, x, u, y))
+    solver.update_lifted(snapshot_pairs(recording, block_size(dictionary), deal=1), lifting(dictionary), processors())
     fit = solver.solve(names).require_full_rank()
     return np.eye(len(fit.R)) + fit.coefficients, fit
 

@@ -20,15 +20,21 @@ Psi, 2^-10 or less of the whole, contribute rounding errors (error-free transfor
 """
 
 import math
-from functools import cached_property
+from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import nullcontext
+from functools import cache, cached_property
+from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import blas, lapack, solve_triangular, svd
+from scipy.linalg import solve_triangular, svd
+from threadpoolctl import ThreadpoolController
+
+from tras.basis import Basis, cholesky, condition_number, householder, powers_of_two, sums_of_squares
 
 _EPS = np.finfo(float).eps
 _WORST_GRAM = 1e5  # condition number of G (1-norm, equilibrated) beyond which the basis is renewed
 _LOST = 1e12  # ... beyond which G itself is too rounded to renew the basis from
-_RIDGE = 2.0**-36  # shortest direction of a basis, relative to the columns
 _GROWTH = 4.0  # G is examined again when its trace has grown by this factor
 
 
@@ -73,7 +79,7 @@ class StreamingLeastSquares:
         elif shapes != self._shapes:
             raise ValueError(f"this block has (regressors, targets) {shapes}, earlier ones {self._shapes}; they must be alike.")
         self.rows += len(regressors)
-        panel = self.panel or max(4096, 4 * shapes[0])
+        panel = self.panel or _panel(shapes[0])
         waiting = sum(len(x) for x, _ in self._waiting) + len(regressors)
         full = waiting >= panel
         self._waiting.append((regressors, targets) if full else (regressors.copy(), targets.copy()))
@@ -92,37 +98,80 @@ class StreamingLeastSquares:
             rows = slice(k * len(x) // pieces, (k + 1) * len(x) // pieces)
             self._absorb(x[rows], y[rows])
 
+    def update_lifted(self, blocks, lift, threads=1):
+        """``update(*lift(block))`` for each block, by several threads; the outcome has the same bits whatever their number.
+
+        Each thread lifts a block and multiplies what it lifted; the products are added up here, in the order of the blocks. BLAS itself is held to
+        one thread meanwhile.
+
+        Parameters
+        ----------
+        blocks : iterable
+            Of tuples of arrays, one entry a row. A block between one panel (see ``panel``) and two is worked on as it is; others take the way of `update`.
+        lift : callable
+            ``block -> (regressors, targets)``, arrays that nobody needs afterwards. Called again for a block when the basis is renewed at it.
+        threads : int
+        """
+        with _one_blas_thread(), ThreadPoolExecutor(threads) if threads > 1 else nullcontext() as pool:
+            running = deque()
+            for block in blocks:
+                if not self._ready_for(len(block[0])):  # the basis is not made yet, rows wait, or will have to
+                    self._collect(running, lift)
+                    self.update(*lift(block))
+                    continue
+                run = pool.submit if pool else _at_once
+                running.append((block, self._basis, run(_lifted_products, self._basis, lift, block)))
+                if len(running) > threads:
+                    self._collect(running, lift, leave=threads)
+            self._collect(running, lift)
+        return self
+
+    def _ready_for(self, rows):
+        panel = self.panel or (self._basis is not None and _panel(self._shapes[0]))
+        return self._basis is not None and not self._waiting and panel <= rows < 2 * panel
+
+    def _collect(self, running, lift, leave=0):
+        """Add what was found of the first blocks, in order, but for the last ``leave``."""
+        while len(running) > leave:
+            block, basis, found = running.popleft()
+            products = found.result()
+            if basis is not self._basis:  # it was renewed meanwhile
+                products = _lifted_products(self._basis, lift, block)
+            self._add(products, lambda: lift(block))
+            self.rows += len(block[0])
+
     def _absorb(self, x, y):
-        p, q = self._shapes
-        lengths, square = _sums_of_squares(x), _sums_of_squares(y)
-        if not (np.isfinite(lengths).all() and np.isfinite(square).all()):
-            raise ValueError("regressors or targets hold NaN, infinity or values too large to square; repair them first.")
         if self._basis is None:
+            p, q = self._shapes
             self._gram, self._cross = np.zeros((p, p)), np.zeros((p, q))
             self._lengths, self._square = np.zeros(p), np.zeros(q)  # sums of squares of regressors and targets
             self._examined = 0.0
-            scale = _powers_of_two(x)
-            self._basis = _Basis.of(_householder(x[:: max(1, len(x) // (8 * p))] / scale), scale)
-        b = self._basis.whiten(x)
-        gram = self._gram + b.T @ b
+            scale = powers_of_two(x)
+            self._basis = Basis.of(householder(x[:: max(1, len(x) // (8 * p))] / scale), scale)
+        self._add(_products(self._basis, x, y), lambda: (x, y))
+
+    def _add(self, products, rows):
+        """Add a panel's products; ``rows()`` gives the panel itself, should its rows leave the span of the basis."""
+        gram = self._gram + products.gram
         if not np.trace(gram) <= _GROWTH * self._examined:
-            condition = _condition(gram + self._basis.ridge_gram())
+            condition = condition_number(gram + self._basis.ridge_gram())
             if condition > _WORST_GRAM:
+                x, y = rows()
                 self._renew_basis(x, gram if condition < _LOST else None)
-                b = self._basis.whiten(x)
-                gram = self._gram + b.T @ b
+                products = _products(self._basis, x, y)
+                gram = self._gram + products.gram
             self._examined = np.trace(gram)
         self._gram = gram
-        self._cross += b.T @ y
-        self._lengths += lengths
-        self._square += square
+        self._cross += products.cross
+        self._lengths += products.lengths
+        self._square += products.square
 
     def _renew_basis(self, x, gram):
         """A basis for all rows so far and those of ``x``: from ``gram``, which holds both, or by Householder QR."""
         old = self._basis
-        scale = np.maximum(old.scale, _powers_of_two(x))
-        factor = old.factor(_cholesky(self._gram if gram is None else gram + old.ridge_gram())) * (old.scale / scale)
-        self._change_basis(_Basis.of(_householder(x / scale, factor) if gram is None else factor, scale))
+        scale = np.maximum(old.scale, powers_of_two(x))
+        factor = old.factor(cholesky(self._gram if gram is None else gram + old.ridge_gram())) * (old.scale / scale)
+        self._change_basis(Basis.of(householder(x / scale, factor) if gram is None else factor, scale))
 
     def _change_basis(self, new):
         """G and C as they would be had the rows been written in another basis: rows B are B S there, S = T_old^-1 T_new."""
@@ -156,8 +205,8 @@ class StreamingLeastSquares:
             solver._work_off(max(solver.rows, 1))
         if not self._basis.same_as(other._basis):
             scale = np.maximum(self._basis.scale, other._basis.scale)
-            one, two = (s._basis.factor(_cholesky(s._gram + s._basis.ridge_gram())) * (s._basis.scale / scale) for s in (self, other))
-            common = _Basis.of(_householder(two, one), scale)
+            one, two = (s._basis.factor(cholesky(s._gram + s._basis.ridge_gram())) * (s._basis.scale / scale) for s in (self, other))
+            common = Basis.of(householder(two, one), scale)
             self._change_basis(common)
             other._change_basis(common)
         for name in ("_gram", "_cross", "_lengths", "_square"):
@@ -197,7 +246,7 @@ class StreamingLeastSquares:
         if self.rows == 0:
             raise ValueError("there are no rows; call update(regressors, targets) first.")
         self._work_off(self.rows)
-        L = _cholesky(self._gram)
+        L = cholesky(self._gram)
         basis = self._basis
         rotated = solve_triangular(L, self._cross, trans="T", check_finite=False)  # Q^T targets
         coefficients = basis.T @ solve_triangular(L, rotated, check_finite=False) / basis.scale[:, None]
@@ -218,6 +267,7 @@ class StreamingLeastSquares:
         return state | {
             "gram": self._gram, "cross": self._cross, "lengths": self._lengths, "square": self._square,
             "examined": np.array(self._examined), "T": basis.T, "scale": basis.scale, "bits": np.array(basis.bits), "ridge": basis.ridge,
+            "split": np.array(basis.split),
         }  # fmt: skip
 
     @classmethod
@@ -232,8 +282,8 @@ class StreamingLeastSquares:
             self._examined = float(state["examined"])
             for key in ("gram", "cross", "lengths", "square"):
                 setattr(self, "_" + key, np.array(state[key], dtype=float))
-            basis = np.asfortranarray(state["T"]), np.array(state["scale"]), int(state["bits"]), np.array(state["ridge"])
-            self._basis = _Basis(*basis)
+            basis = np.asfortranarray(state["T"]), np.array(state["scale"]), int(state["bits"]), np.array(state["ridge"]), bool(state["split"])
+            self._basis = Basis(*basis)
         return self
 
 
@@ -263,7 +313,7 @@ class LeastSquares:
 
     def __init__(self, coefficients, R, rotated, lengths, square, rows, names=None):
         self._coefficients, self.R, self.rotated, self.rows, self.names = coefficients, R, rotated, rows, names
-        self._least = np.maximum(square - _sums_of_squares(rotated), 0)  # squared norm of the residual
+        self._least = np.maximum(square - sums_of_squares(rotated), 0)  # squared norm of the residual
         self._norms = np.where(lengths > 0, np.sqrt(lengths), 1.0)
         self._singular = np.linalg.svd(R / self._norms, compute_uv=False)
         self.rank = int(np.sum(self._singular > self._singular[0] * _smallest(rows)))
@@ -338,120 +388,51 @@ def least_squares(blocks, names=None):
     return solver.solve(names).require_full_rank()
 
 
-class _Basis:
-    """T upper triangular such that (Psi / scale) T is nearly orthonormal; ``bits`` leading bits of Psi are multiplied exactly."""
+class _Products(NamedTuple):
+    """What a panel of rows adds to the normal equations in a basis."""
 
-    def __init__(self, T, scale, bits, ridge):
-        self.T, self.scale, self.bits, self.ridge = T, scale, bits, ridge
-        self._product = np.asfortranarray(T / scale[:, None])  # scales are powers of two: exact
-        self._shift = 1.5 * 2.0 ** (52 - bits) * scale
-
-    @classmethod
-    def of(cls, R, scale):
-        """From the triangular factor R of some rows of Psi / scale."""
-        p = len(R)
-        size = np.linalg.norm(R)
-        # Directions that the sample hardly contains get a length of 2^-36 instead of none, so that T stays bounded.
-        ridge = np.zeros(p)
-        if not lapack.dtrcon(R)[0] > _RIDGE:
-            norms = np.linalg.norm(R, axis=0)
-            ridge = _RIDGE * np.where(norms > 0, norms, 1.0)
-            R = _householder(np.diag(ridge), R)
-        T = lapack.dtrtri(R)[0]
-        # Grid for T: rounding moves the rows of B by a fraction of their size. All partial sums of (bits of Psi) T are
-        # then multiples of one unit below 2^53 units.
-        unit = 2.0 ** math.floor(math.log2(math.sqrt(12) / 8 / size)) if size > 0 else 1.0
-        largest = np.abs(T).sum(axis=0).max() / unit
-        bits = max(0, min(26, 53 - math.ceil(math.log2(largest) + 0.1)))
-        rounded = np.rint(T / unit) * unit
-        np.fill_diagonal(rounded, np.where(np.diag(rounded) == 0, np.diag(T), np.diag(rounded)))
-        return cls(np.asfortranarray(rounded), scale, bits, ridge)
-
-    def whiten(self, x):
-        """B = (Psi / scale) T for rows ``x`` of Psi."""
-        leading = np.add(x, self._shift, order="F")
-        leading -= self._shift
-        trailing = np.subtract(x, leading, order="F")
-        b = blas.dtrmm(1.0, self._product, leading, side=1, overwrite_b=1)
-        b += blas.dtrmm(1.0, self._product, trailing, side=1, overwrite_b=1)
-        return b
-
-    def multiply(self, x):
-        """``x T`` for an upper triangular matrix of any size, with the accuracy of `whiten`."""
-        size = _powers_of_two(x.T)[:, None]
-        return np.triu(self.whiten(x / size * self.scale) * size)
-
-    def inverse(self):
-        """T^-1 as a sum of two matrices, the second of the size of the first one's rounding errors (Newton's iteration)."""
-        inverse = lapack.dtrtri(self.T)[0]
-        for _ in range(2):
-            inverse = inverse + rest if _ else inverse
-            rest = (np.eye(len(inverse)) - self.multiply(inverse)) @ inverse
-        return inverse, rest
-
-    def same_as(self, other):
-        return self is other or (np.array_equal(self.T, other.T) and np.array_equal(self.scale, other.scale) and self.bits == other.bits)
-
-    def ridge_gram(self):
-        """What rows ``diag(ridge)`` would add to G."""
-        rows = self.ridge[:, None] * self.T
-        return rows.T @ rows if self.ridge.any() else 0.0
-
-    def factor(self, L):
-        """R = L T^-1, upper triangular, with R^T R = (Psi / scale)^T (Psi / scale) when L^T L = G."""
-        return np.triu(blas.dtrsm(1.0, self.T, L, side=1))
+    gram: np.ndarray
+    cross: np.ndarray
+    lengths: np.ndarray
+    square: np.ndarray
 
 
-def _householder(x, R=None):
-    """Triangular factor of ``x``, or of ``R`` on top of ``x``, by LAPACK's panel-wise Householder QR."""
-    p = x.shape[1]
-    if R is None:
-        if len(x) < p:
-            x = np.vstack([x, np.zeros((p - len(x), p))])
-        return np.asfortranarray(np.triu(lapack.dgeqrt(min(32, p), np.asfortranarray(x), overwrite_a=1)[0][:p]))
-    return np.asfortranarray(np.triu(lapack.dtpqrt(0, min(32, p), np.asfortranarray(R), np.asfortranarray(x), overwrite_b=1)[0]))
+def _products(basis, x, y, overwrite=False):
+    lengths, square = sums_of_squares(x), sums_of_squares(y)
+    if not (np.isfinite(lengths).all() and np.isfinite(square).all()):
+        raise ValueError("regressors or targets hold NaN, infinity or values too large to square; repair them first.")
+    b = basis.whiten(x, overwrite)
+    return _Products(b.T @ b, b.T @ y, lengths, square)
 
 
-def _cholesky(gram):
-    """Upper triangular L with L^T L = gram, of the equilibrated matrix; shifted by rounding errors if it is not positive."""
-    diagonal = np.sqrt(np.diag(gram))
-    diagonal = np.where(diagonal > 0, diagonal, 1.0)
-    scaled = np.asfortranarray(gram / diagonal / diagonal[:, None])
-    shift = 0.0
-    while True:
-        L, info = lapack.dpotrf(scaled + shift * np.eye(len(scaled)), clean=1, overwrite_a=1)
-        if info == 0:
-            return L * diagonal
-        shift = 100 * shift or len(scaled) * _EPS
+def _lifted_products(basis, lift, block):
+    return _products(basis, *lift(block), overwrite=True)
 
 
-def _condition(gram):
-    """Estimated condition number of the equilibrated matrix in the 1-norm; infinite if it is not positive definite."""
-    diagonal = np.diag(gram)
-    if not (diagonal > 0).all():
-        return math.inf
-    scale = 1 / np.sqrt(diagonal)
-    scaled = gram * scale * scale[:, None]
-    L, info = lapack.dpotrf(scaled)
-    if info:
-        return math.inf
-    reciprocal = lapack.dpocon(L, np.abs(scaled).sum(axis=0).max())[0]
-    return 1 / reciprocal if reciprocal > 0 else math.inf
+def _at_once(function, *arguments):
+    """What a pool's ``submit`` gives, done here and now."""
+    done = Future()
+    done.set_result(function(*arguments))
+    return done
+
+
+def _one_blas_thread():
+    return _libraries().limit(limits=1, user_api="blas")
+
+
+@cache
+def _libraries():
+    return ThreadpoolController()  # looking for the libraries takes milliseconds
+
+
+def _panel(p):
+    """Rows that are worked on at once."""
+    return max(4096, 4 * p)
 
 
 def _smallest(rows):
     """Singular values below this fraction of the largest are rounding errors."""
     return _EPS * math.sqrt(rows)
-
-
-def _powers_of_two(x):
-    """For each column a power of two above its largest entry; 1 for a column of zeros."""
-    largest = np.maximum(x.max(axis=0), -x.min(axis=0))
-    return np.ldexp(1.0, np.frexp(np.where(largest > 0, largest, 0.5))[1])
-
-
-def _sums_of_squares(x):
-    return np.einsum("ij,ij->j", x, x)
 
 
 def _ratio(singular):

@@ -1,5 +1,6 @@
 """Identified models: fit, simulate, score, report (paper, Algorithm of Sec. IV and "Model Comparison")."""
 
+import itertools
 import math
 
 import numpy as np
@@ -120,7 +121,7 @@ class KoopmanModel(BaseEstimator):
         """Identify from a `Recording`, or a sequence of recordings with the same channels.
 
         The path of a file, `Recording.open(path)`, an iterator of recordings, or a callable that returns one: these may be larger than memory. See
-        `tras.streaming.fit` for them, and for the options ``ranges, checkpoint, chunk, progress, every``.
+        `tras.streaming.fit` for them, and for the options ``ranges, checkpoint, chunk, progress, every, scheduler, parts, threads``.
 
         Raises
         ------
@@ -143,6 +144,8 @@ class KoopmanModel(BaseEstimator):
         self.dictionary_ = clone(self.dictionary).fit(x, u if self._lifts_inputs else None)
         self.names_ = self.dictionary_.feature_names(self._channels(inputs=self._lifts_inputs))
         self.fitted_as_ = (self.predictor, self.delays)
+        held = len(u) < 2 or np.mean((u[1:] == u[:-1]).all(axis=1)) > 0.5
+        self._shares = held or not self._lifts_inputs  # whether a pair's second lifting is mostly the next pair's first
         self._solver = StreamingLeastSquares()
         return self
 
@@ -162,18 +165,18 @@ class KoopmanModel(BaseEstimator):
             raise ValueError("this model comes from a file, which keeps what was found and not the data; fit anew.")
         return self._learn(self._same_channels(join(recording)))
 
-    def _learn(self, recording):
+    def _learn(self, recording, threads=None):
         scaled = self._scaled(recording)
         train, held = hold_out(scaled) if self._chooses else (scaled, None)
-        self._absorb(train)
-        return self._conclude(scaled, held)
+        self._absorb(train, threads)
+        return self._conclude(scaled, held, threads)
 
-    def _conclude(self, scaled, held):
+    def _conclude(self, scaled, held, threads=None):
         """The strength by ``held``, which was not absorbed yet, if there is any; then the solution of all rows."""
         strength = 0.0 if self.regularization is None or self.strength == "auto" else float(self.strength)
         if held is not None:
             strength = self._choose_strength(scaled, held)
-            self._absorb(held)
+            self._absorb(held, threads)
         self._solve(strength, scaled)
         return self
 
@@ -190,19 +193,21 @@ class KoopmanModel(BaseEstimator):
         """Number of functions behind constant, states and inputs."""
         return len(self.names_) - len(self.dictionary_.coordinates) - 1 - self._lifts_inputs * len(self.input_names_)
 
-    def _absorb(self, scaled):
-        for block in koopman.snapshot_pairs(scaled, koopman.block_size(self.dictionary_), deal=True):
-            self._absorb_block(*block)
-
-    def _absorb_block(self, x, u, y):
+    def _absorb(self, scaled, threads=None, most=None):
+        """All snapshot pairs of scaled trajectories, or the first ``most`` blocks of them."""
         rows = koopman.rows if self._lifts_inputs else koopman.lifted_linear_rows
-        self._solver.update(*rows(self.dictionary_, x, u, y))
+        blocks = koopman.snapshot_pairs(scaled, koopman.block_size(self.dictionary_), deal=koopman.SUIT if self._shares else 1)
+        blocks = map(self._widen_hull, itertools.islice(blocks, most))
+        self._solver.update_lifted(blocks, koopman.lifting(self.dictionary_, rows), threads or koopman.processors())
+
+    def _widen_hull(self, block):
         if self.extrapolation == "linear" and self._lifts_inputs and self._tail:
-            z = np.hstack([x, u]).T
+            z = np.hstack(block[:2]).T
             if hasattr(self, "hull_"):
                 self.hull_.widen(z)
             else:
                 self.hull_ = rollout.Hull(z, self.dictionary_.confined)
+        return block
 
     def _choose_strength(self, scaled, held):
         self.errors_ = {}

@@ -40,18 +40,19 @@ class Radial(Dictionary):
         return chosen if self.centres == "data" else _kmeans(z.T, chosen)
 
     def _build(self):
-        self._slope = self.centres_ * (2 / self.width_**2)
-        self._level = np.sum(self.centres_**2, axis=1, keepdims=True) / self.width_**2
+        square = self.width_**2
+        level = np.sum(self.centres_**2, axis=1, keepdims=True)
+        self._affine = np.hstack([-level / square, self.centres_ * (2 / square), np.full_like(level, -1 / square)])
         return len(self.centres_)
 
     def _minus_squares(self, z, out):
         """``-|z - c|^2 / width^2`` = 2 c.z - |c|^2 - |z|^2 by one matrix product: no array of (centres, channels, points)."""
         if z.dtype == object:  # symbols (`tras.symbols`): as a reader expects it
             return -(((z[None] - self.centres_[..., None]) ** 2).sum(axis=1) / self.width_**2)
-        np.matmul(self._slope, z, out=out)
-        out -= self._level
-        out -= np.add.reduce(z * z) / self.width_**2
-        return out
+        lifted = np.empty((len(z) + 2, z.shape[1]))
+        lifted[0], lifted[1:-1] = 1, z
+        np.einsum("ij,ij->j", z, z, out=lifted[-1])
+        return np.matmul(self._affine, lifted, out=out)
 
     def _towards_centres(self, z):
         """``(c - z) / width^2`` of the states: (centres, n, points)."""

@@ -35,7 +35,7 @@ def needed(source):
     return hasattr(source, "__iter__") and not isinstance(source, Recording) and not hasattr(source, "__array__")
 
 
-def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=None, every=60.0, scheduler=None, parts=None):
+def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=None, every=60.0, scheduler=None, parts=None, threads=None):
     """Fit a `KoopmanModel` to data of any size; its ``fit`` calls this.
 
     A `Recording`, or a list of them, is fitted in memory unless a ``chunk`` is given; so are other data that are smaller than a chunk.
@@ -65,6 +65,8 @@ def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=Non
         `tras.distributed.absorb`; not together with a checkpoint, and only for files and recordings.
     parts : int, optional
         Number of parts that workers take. The same number gives the same bits, whoever does the work.
+    threads : int, optional
+        Of this process, that lift and multiply; the bits do not depend on it. Default: one a processor, at most eight; one in a process among others.
 
     Returns
     -------
@@ -78,11 +80,13 @@ def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=Non
         samples); if the checkpoint belongs to another model or other data; and as for `KoopmanModel.fit`.
     """
     spread = scheduler is not None or parts is not None
+    if threads is not None and whole_number("threads", threads) < 1:
+        raise ValueError(f"threads = {threads}; give the number of threads, 1 or more.")
     if spread:
         _require_shareable(source, checkpoint, scheduler, parts)
     if chunk is None and not needed(source) and not spread:
         recording = join(source)
-        return model._begin(recording, scaling.checked(ranges, recording))._learn(recording)
+        return model._begin(recording, scaling.checked(ranges, recording))._learn(recording, threads)
     chunk = koopman.DEALT if chunk is None else whole_number("chunk", chunk)
     if chunk < 1:
         raise ValueError(f"chunk = {chunk}; give the number of snapshot pairs to hold in memory, 1 or more.")
@@ -92,7 +96,7 @@ def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=Non
     head = _head(pieces, 1 if saved else chunk)
     if not (saved or spread) and sum(piece.pairs for piece in head) < chunk:
         whole = stream.recording(head)
-        return model._begin(whole, scaling.checked(ranges, whole))._learn(whole)
+        return model._begin(whole, scaling.checked(ranges, whole))._learn(whole, threads)
     if model.field == "least_squares" and model.predictor == "vector_field":
         raise ValueError("field is 'least_squares', which needs all data in memory at once; use field='coordinates', or fewer data.")
     if saved:
@@ -108,9 +112,9 @@ def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=Non
             distributed.absorb(model, stream, held, survey.length, chunk, scheduler, parts, bar)
         else:
             log = _Log(checkpoint, model, survey, stream, chunk, every, saved)
-            _absorb(model, _drained(head, pieces), held, survey, stream, log, bar)
+            _absorb(model, _drained(head, pieces), held, survey, stream, log, bar, threads)
     scaled = model._scaled(survey.sample)
-    return model._conclude(scaled, scaled if held else None)
+    return model._conclude(scaled, scaled if held else None, threads)
 
 
 # ------------------------------------------------------------------------------------------------------------------ the survey
@@ -195,7 +199,7 @@ class _Windows:
 # ------------------------------------------------------------------------------------------------------------------- the pass
 
 
-def _absorb(model, pieces, held, survey, stream, log, bar):
+def _absorb(model, pieces, held, survey, stream, log, bar, threads):
     """All pieces, a chunk at a time, without the windows that are held out."""
     group, waiting, seen = deque(), 0, 0
     try:
@@ -209,11 +213,11 @@ def _absorb(model, pieces, held, survey, stream, log, bar):
             del piece
             if waiting >= log.chunk:
                 with log.chunk_until(number):
-                    model._absorb(_scaled(model, stream, group))
+                    model._absorb(_scaled(model, stream, group), threads)
                 waiting = 0
         log.require_end(number + 1, seen)
         with log.chunk_until(number, last=True):
-            model._absorb(_scaled(model, stream, group))
+            model._absorb(_scaled(model, stream, group), threads)
     except UnreadableError as error:
         if log.rescue():
             raise UnreadableError(f"{error} What was fitted so far is kept in {log.path}: repair, and fit again to go on.") from error
