@@ -492,7 +492,7 @@ class KoopmanModel(BaseEstimator):
     def _step(self, point):
         """Scaled states one sample later by the states' columns of K."""
         near = self.hull_.nearest(point) if hasattr(self, "hull_") else point
-        later = self.koopman_matrix[:, self.dictionary_.coordinates].T @ self.dictionary_.lift(near)
+        later = self.koopman_matrix.T[1 : 1 + len(self.dictionary_.coordinates)] @ self.dictionary_.lift(near)
         return later if near is point else later + self.outward_step_ @ (point - near)
 
     def _advance(self, z, u):

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy import linalg
 
+STRETCH = 32  # samples between two looks at which predictions have left
 LIMIT = 1e3  # half-ranges of the training data; a prediction beyond is abandoned and NaN from there on
 
 
@@ -22,16 +23,19 @@ def roll_out(advance, z, inputs, read=lambda state: state):
     states[0] = first
     ends = np.full(batch, samples)  # where each prediction is abandoned
     with np.errstate(over="ignore", invalid="ignore"):
-        for k in range(1, samples):
-            z = advance(z, inputs[k - 1])
-            x = states[k] = read(z)
-            inside = np.abs(x) <= LIMIT  # False for NaN
+        for start in range(1, samples, STRETCH):
+            stretch = states[start : start + STRETCH]
+            for k in range(len(stretch)):
+                z = advance(z, inputs[start + k - 1])
+                stretch[k] = read(z)
+            inside = np.abs(stretch) <= LIMIT  # False for NaN
             if not inside.all():
-                outside = ~inside.all(axis=0)
-                ends[outside] = np.minimum(ends[outside], k)
+                outside = ~inside.all(axis=1)
+                gone = outside.any(axis=0)
+                ends[gone] = np.minimum(ends[gone], start + outside[:, gone].argmax(axis=0))
                 if (ends < samples).all():
                     break
-                z = np.where(outside, 0.0, z)
+                z = np.where(gone, 0.0, z)
     for i in np.flatnonzero(ends < samples):
         states[ends[i] :, :, i] = np.nan
     return states
@@ -103,10 +107,17 @@ class Hull:
         room = self.margin * (self.high - self.low) / 2
         self._low, self._high = self.low - room, self.high + room
         self._low[self.free], self._high[self.free] = -np.inf, np.inf
+        # The box as a cube [-1, 1]: one product tells whether points are inside.
+        with np.errstate(divide="ignore", invalid="ignore"):  # data without any extent along an axis: never told so
+            inward = np.where(np.isinf(self._high), 0.0, 2 / (self._high - self._low))
+            self._to_cube = inward * self.axes.T
+            self._cube_shift = -inward * (self.axes.T @ self.centre + np.where(np.isinf(self._high), 0.0, (self._low + self._high) / 2))
         return self
 
     def nearest(self, z):
         """P(z): (channels, points) -> (channels, points); ``z`` itself, unchanged, when all points are inside."""
+        if np.abs(self._to_cube @ z + self._cube_shift).max() <= 1:
+            return z
         t = self.axes.T @ (z - self.centre)
         beyond = t - np.clip(t, self._low, self._high)
         return z - self.axes @ beyond if beyond.any() else z
