@@ -109,9 +109,14 @@ def simulate_closed_loop(reference, dt, parameters=None, *, controllers=None, x0
         raise ValueError("reference holds NaN or infinity; give finite angles in rad.")
     controllers = controllers or PID.defaults(parameters)
     states, torques = _loop(reference, dt, parameters, controllers, x0, step)
+    return recorded([states], [np.hstack([reference, torques])], dt, parameters, controllers, step, attributes)
+
+
+def recorded(states, inputs, dt, parameters, controllers, step, attributes):
+    """A `Recording` of simulated loops with everything that made it in its attributes."""
     return Recording(
-        [states],
-        [np.hstack([reference, torques])],
+        states,
+        inputs,
         dt,
         state_names=STATE_NAMES,
         input_names=REFERENCE_NAMES + TORQUE_NAMES,
