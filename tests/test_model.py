@@ -13,7 +13,7 @@ from sklearn.base import clone
 from sklearn.model_selection import GridSearchCV
 
 import tras
-from tras import metrics
+from tras import metrics, spectrum
 
 A2, B2 = [[0, 1], [-2, -0.5]], [[0], [1]]
 PREDICTORS = ["vector_field", "one_step", "lifted_linear"]
@@ -290,3 +290,22 @@ def test_fit_leaves_the_dictionary_alone(torque_data):
     dictionary = tras.GaussianRBF(2)
     tras.KoopmanModel(dictionary).fit(torque_data)
     assert not hasattr(dictionary, "centres_")
+
+
+@pytest.mark.parametrize("delays", [0, 1])
+def test_the_states_columns_alone_predict_as_all_of_k_do(oscillator, delays, tmp_path):
+    recording = oscillator.select(states=["x1"]) if delays else oscillator
+    whole, part = (tras.KoopmanModel(tras.Monomials(3), "one_step", delays, strength=1e-3, columns=columns).fit(recording) for columns in ("all", "states"))
+    n = len(part.dictionary_.coordinates)
+    assert part.koopman_matrix.shape == (len(part.names_), n)
+    assert np.allclose(part.koopman_matrix, whole.koopman_matrix[:, 1 : 1 + n], rtol=0, atol=1e-12)
+    assert np.allclose(part.predict(recording), whole.predict(recording), rtol=0, atol=1e-10)
+    part.save(tmp_path / "part.npz")
+    loaded = tras.load_model(tmp_path / "part.npz")
+    assert np.array_equal(loaded.predict(recording), part.predict(recording))
+    assert "no eigenvalues" in part.report(recording) and part.formulas() == whole.formulas()
+    for ask in (lambda: part.eigenvalues, lambda: spectrum.eigenpairs(part), lambda: spectrum.projection_error(part, recording)):
+        with pytest.raises(ValueError, match="columns is 'states', so the other columns of K and its eigenvalues are not known"):
+            ask()
+    with pytest.raises(ValueError, match="columns='states' needs predictor='one_step', but it is 'vector_field'"):
+        tras.KoopmanModel(tras.Monomials(3), columns="states").fit(recording)

@@ -82,7 +82,7 @@ def described(model):
     return {
         "dictionary": _described(model.dictionary), "predictor": "lifted_linear" if model.predictor == "lifted_linear" else "vector_field or one_step",
         "delays": int(model.delays), "earlier inputs": bool(model.delays and model.predictor != "vector_field"),
-        "extrapolation": model.extrapolation, "strength": "auto" if chooses else "given",
+        "extrapolation": model.extrapolation, "columns": model.columns, "strength": "auto" if chooses else "given",
     }  # fmt: skip
 
 

@@ -47,8 +47,8 @@ def map_of(model):
     """The `Map` of a model that is not ``lifted_linear``."""
     model._fitted()
     rows = len(model.state_names_) if model.predictor == "one_step" else None
-    K, hull = model.koopman_matrix, getattr(model, "hull_", None)
-    matrix = model.W_ if model.predictor == "vector_field" else K[:, model.dictionary_.coordinates].T
+    hull = getattr(model, "hull_", None)
+    matrix = model.W_ if model.predictor == "vector_field" else model._states_columns.T
     outward = None if hull is None else model.outward_ if model.predictor == "vector_field" else model.outward_step_
     return Map(matrix[:rows], hull, outward if outward is None else outward[:rows])
 

@@ -104,6 +104,13 @@ def lifted_linear_rows(dictionary, x, u, y, buffer=None):
     return regressors.T, change
 
 
+def state_rows(dictionary, x, u, y, buffer=None):
+    """Regressors ``psi(x, u)`` and the states' change ``y - x`` alone: what one step ahead needs, at two fifths of the operations."""
+    z, _ = dictionary._points(x, u)
+    change = np.subtract(y.T, x.T, out=(buffer or _fresh)(1, x.shape[1], len(x)))
+    return dictionary.lift(z, out=(buffer or _fresh)(0, dictionary._size, len(x))).T, change.T
+
+
 def lifting(dictionary, of=rows):
     """``(x, u, y) -> (regressors, targets)`` in memory that each thread uses again and again."""
     own = threading.local()

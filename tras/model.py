@@ -19,6 +19,7 @@ OPTIONS = {
     "field": ("coordinates", "least_squares"),
     "regularization": (*METHODS, None),
     "extrapolation": ("linear", "functions"),
+    "columns": ("all", "states"),
 }
 
 
@@ -63,11 +64,14 @@ class KoopmanModel(BaseEstimator):
     stable : bool or float
         With ``lifted_linear``: keep the spectral radius of A at most one, or at most this number (`tras.stability`). A radius of one bounds the
         powers of A; the response to bounded inputs is bounded below one only. ``1 - dt / tau`` makes every mode forget in about the time tau.
+    columns : {"all", "states"}
+        With ``one_step``: ``"states"`` fits the states' columns of K alone, which is all that its predictions need, at half the cost; the
+        others, and so eigenvalues, are not known then.
 
     Attributes
     ----------
     koopman_matrix : (N, N) ndarray
-        K of (14), in scaled channels; with ``lifted_linear`` the A of ``z+ = A z + B u`` transposed.
+        K of (14), in scaled channels; with ``lifted_linear`` the A of ``z+ = A z + B u`` transposed; with ``columns="states"`` (N, states).
     generator : (N, N) ndarray
         A of (15) in 1/s; only for ``vector_field``.
     eigenvalues : (N,) complex ndarray
@@ -105,6 +109,7 @@ class KoopmanModel(BaseEstimator):
         strength="auto",
         extrapolation="linear",
         stable=False,
+        columns="all",
     ):
         self.dictionary = dictionary
         self.predictor = predictor
@@ -114,6 +119,7 @@ class KoopmanModel(BaseEstimator):
         self.strength = strength
         self.extrapolation = extrapolation
         self.stable = stable
+        self.columns = columns
 
     # ------------------------------------------------------------------------------------------------------------ fitting
 
@@ -195,7 +201,7 @@ class KoopmanModel(BaseEstimator):
 
     def _absorb(self, scaled, threads=None, most=None):
         """All snapshot pairs of scaled trajectories, or the first ``most`` blocks of them."""
-        rows = koopman.rows if self._lifts_inputs else koopman.lifted_linear_rows
+        rows = koopman.lifted_linear_rows if not self._lifts_inputs else koopman.rows if self.columns == "all" else koopman.state_rows
         blocks = koopman.snapshot_pairs(scaled, koopman.block_size(self.dictionary_), deal=koopman.SUIT if self._shares else 1)
         blocks = map(self._widen_hull, itertools.islice(blocks, most))
         self._solver.update_lifted(blocks, koopman.lifting(self.dictionary_, rows), threads or koopman.processors())
@@ -236,7 +242,7 @@ class KoopmanModel(BaseEstimator):
         self.strength_ = strength
         N, n, m = len(self.names_), len(self.dictionary_.coordinates), len(self.input_names_)
         if self._lifts_inputs:
-            self.koopman_matrix = np.eye(N) + D
+            self.koopman_matrix = (np.eye(N) if self.columns == "all" else np.eye(N)[:, 1 : 1 + n]) + D
         else:
             if self.stable:
                 D = stability.stable_change(fit, D, n, m, radius=float(self.stable))
@@ -244,7 +250,9 @@ class KoopmanModel(BaseEstimator):
             of_inputs = (inputs >= 0) & (inputs < m)
             self.koopman_matrix, self.B_ = np.eye(N) + D[~of_inputs], np.ascontiguousarray(D[of_inputs].T)
         if hasattr(self, "hull_"):
-            change = linalg.solve_triangular(fit.R[:head, :head], fit.rotated[:head, :head], check_finite=False)
+            states = slice(1, 1 + n) if self.columns == "all" else slice(None)
+            change = np.zeros((head, 1 + n))
+            change[:, 1:] = linalg.solve_triangular(fit.R[:head, :head], fit.rotated[:head, states], check_finite=False)
             self.outward_ = rollout.outward_rates(change, n, self.dt_, len(self.state_names_))
             self.outward_step_ = rollout.over_a_sample(self.outward_, self.dt_)
         if self.predictor == "vector_field":
@@ -269,7 +277,7 @@ class KoopmanModel(BaseEstimator):
     @property
     def eigenvalues(self):
         """Eigenvalues of K, largest modulus first."""
-        self._fitted()
+        self._require_all_columns()
         eigenvalues = linalg.eigvals(self.koopman_matrix)
         return eigenvalues[np.lexsort((-eigenvalues.imag, -np.abs(eigenvalues)))]
 
@@ -413,6 +421,8 @@ class KoopmanModel(BaseEstimator):
             raise ValueError(f"strength is {self.strength!r}; give 'auto' or a number that is not negative.")
         if not isinstance(self.stable, (bool, int, float)) or not 0 <= self.stable <= 1:
             raise ValueError(f"stable is {self.stable!r}; give True, False, or a spectral radius between 0 and 1, for example 0.999.")
+        if self.columns == "states" and self.predictor != "one_step":
+            raise ValueError(f"columns='states' needs predictor='one_step', but it is {self.predictor!r}, which needs all of K; use columns='all'.")
         if self.stable and self.predictor != "lifted_linear":
             raise ValueError(f"stable={self.stable!r} needs predictor='lifted_linear', but it is {self.predictor!r}.")
 
@@ -492,8 +502,18 @@ class KoopmanModel(BaseEstimator):
     def _step(self, point):
         """Scaled states one sample later by the states' columns of K."""
         near = self.hull_.nearest(point) if hasattr(self, "hull_") else point
-        later = self.koopman_matrix.T[1 : 1 + len(self.dictionary_.coordinates)] @ self.dictionary_.lift(near)
+        later = self._states_columns.T @ self.dictionary_.lift(near)
         return later if near is point else later + self.outward_step_ @ (point - near)
+
+    @property
+    def _states_columns(self):
+        """(N, n') of K."""
+        return self.koopman_matrix if self.columns == "states" else self.koopman_matrix[:, 1 : 1 + len(self.dictionary_.coordinates)]
+
+    def _require_all_columns(self):
+        self._fitted()
+        if self.columns == "states":
+            raise ValueError("columns is 'states', so the other columns of K and its eigenvalues are not known; fit with columns='all'.")
 
     def _advance(self, z, u):
         """One sample: (n', batch), (m, batch) -> (n', batch), scaled. What is known of the earlier samples is shifted, not predicted."""

@@ -44,17 +44,23 @@ def roll_out(advance, z, inputs, read=lambda state: state):
 def runge_kutta(field, z, u, dt, substeps):
     """Classical steps of order 4 of ``z' = field(point)``, ``point`` (n + m, batch) holding z and the held input u."""
     h, n = dt / substeps, len(z)
-    point = np.concatenate([z, u])
+    point, move = np.concatenate([z, u]), np.empty_like(z)
+    inner = point[:n]
     for _ in range(substeps):
         k1 = field(point)
-        point[:n] = z + h / 2 * k1
+        np.add(z, np.multiply(k1, h / 2, out=move), out=inner)
         k2 = field(point)
-        point[:n] = z + h / 2 * k2
+        np.add(z, np.multiply(k2, h / 2, out=move), out=inner)
         k3 = field(point)
-        point[:n] = z + h * k3
+        np.add(z, np.multiply(k3, h, out=move), out=inner)
         k4 = field(point)
-        z = z + h / 6 * (k1 + 2 * (k2 + k3) + k4)
-        point[:n] = z
+        np.add(k2, k3, out=move)
+        move *= 2
+        move += k1
+        move += k4
+        move *= h / 6
+        z = z + move
+        inner[:] = z
     return z
 
 

@@ -17,7 +17,7 @@ SPURIOUS = 0.1  # a residual beyond a tenth of the eigenfunction's size
 
 def eigenpairs(model):
     """Eigenvalues (N,) of K, largest modulus first, and the coefficients (N, N) of the eigenfunctions ``psi^T g`` in columns."""
-    model._fitted()
+    model._require_all_columns()
     values, vectors = linalg.eig(model.koopman_matrix)
     order = np.lexsort((-values.imag, -np.abs(values)))
     return values[order], vectors[:, order]
@@ -93,6 +93,7 @@ def projection_error(model, recording):
         dictionary is closed, about one where K explains nothing, above it on fresh data that K misleads; functions of the input alone do not
         change and have zero.
     """
+    model._require_all_columns()
     error = change = 0.0
     for before, after in _liftings(model, recording):
         error = error + np.sum((after - before @ model.koopman_matrix) ** 2, axis=0)

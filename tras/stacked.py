@@ -22,6 +22,34 @@ def field_of(model):
     return {"W": model.W_.tolist(), "substeps": model.substeps_, "delays": model.delays, "dt": model.dt_, **scales}
 
 
+def alike(models):
+    """Numbers of the models that can be rolled out together, as lists in the order of their first members; others stand alone."""
+    groups, points = {}, {}
+    for i, model in enumerate(models):
+        key = i
+        if model.predictor == "vector_field" and not hasattr(model, "hull_"):
+            channels = model.dictionary_.n_states_ + model.dictionary_.n_inputs_
+            some = points.setdefault(channels, np.random.default_rng(0).uniform(-1, 1, (channels, 5)))  # dictionaries are told apart by values there
+            key = model.delays, model.substeps_, model.dt_, len(model.state_names_), model.dictionary_.lift(some).tobytes()
+        groups.setdefault(key, []).append(i)
+    return list(groups.values())
+
+
+def predict(models, recordings):
+    """``model.predict(recording)`` for each model of one group of `alike` and its own recording; trajectories in equal number and length.
+
+    Returns
+    -------
+    list of (trajectories, samples, n) ndarray
+    """
+    if len(models) == 1:
+        return [models[0].predict(recordings[0])]
+    recordings = [model._same_channels(recording) for model, recording in zip(models, recordings)]
+    starts = np.stack([recording.states[:, : model.delays + 1] for model, recording in zip(models, recordings)])
+    inputs = np.stack([recording.inputs for recording in recordings])
+    return list(free_runs(models[0].dictionary_, [field_of(model) for model in models], starts, inputs))
+
+
 def free_runs(dictionary, fields, starts, inputs):
     """Every model's prediction of its own runs.
 

@@ -22,6 +22,8 @@ def _fit(model):
 
 
 def _dynamics(model):
+    if model.columns == "states":
+        return ["of K the states' columns alone, so no eigenvalues", *_beyond(model)]
     eigenvalues = model.eigenvalues
     radius = np.abs(eigenvalues).max()
     lines = [f"spectral radius of K {radius:.8f}: {'stable' if radius <= 1 + 1e-9 else 'the lifted system grows'}"]
@@ -41,9 +43,11 @@ def _dynamics(model):
     if hasattr(model, "refinement_"):
         first, last = model.refinement_[[0, -1]]
         lines.append(f"refined on whole trajectories: predictions miss the measurements by {last:.3g} times their noise, {first:.3g} before")
-    if hasattr(model, "hull_"):
-        lines.append("beyond the training data, plus a quarter, the model is linear and damped")
-    return lines
+    return lines + _beyond(model)
+
+
+def _beyond(model):
+    return ["beyond the training data, plus a quarter, the model is linear and damped"] if hasattr(model, "hull_") else []
 
 
 def _prediction(model, recording):

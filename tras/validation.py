@@ -5,7 +5,7 @@ import contextlib
 import numpy as np
 import pandas as pd
 
-from tras import metrics
+from tras import metrics, stacked
 from tras.recording import join
 
 ANGLES = {"yaw": "psi", "pitch": "phi"}  # the order of the paper's table
@@ -37,13 +37,41 @@ def score(model, recordings, seconds, *, range_over="all"):
     ValueError
         If a recording is shorter than a window, lacks an angle, or an angle is constant; the sentence names it.
     """
+    return score_together([model], [recordings], seconds, range_over=range_over)[0]
+
+
+def score_together(models, recordings, seconds, *, range_over="all"):
+    """`score` of several models, each on its own recordings: a list of tables. Those of one structure are rolled out together.
+
+    Parameters
+    ----------
+    models : list of KoopmanModel
+    recordings : list of dict of str to Recording
+        One dict a model; with more than one model alike in number and length.
+    seconds, range_over
+        As for `score`.
+    """
+    windows = [_windows(own, seconds) for own in recordings]
+    predicted = [None] * len(models)
+    for group in stacked.alike(models) if len(models) > 1 else [[0]]:
+        found = stacked.predict([models[i] for i in group], [join(windows[i].values()) for i in group])
+        for i, prediction in zip(group, found):
+            predicted[i] = prediction
+    return [_judged(*pair, seconds, range_over) for pair in zip(windows, predicted)]
+
+
+def _windows(recordings, seconds):
     windows = {}
     for name, recording in recordings.items():
         with _named(f"recording {name!r}"):
             windows[name] = recording.cut(round(seconds / recording.dt) + 1)
-    predicted = np.split(model.predict(join(windows.values())), np.cumsum([len(w) for w in windows.values()])[:-1])
+    return windows
+
+
+def _judged(windows, predicted, seconds, range_over):
+    """The table of `score` for windows by recording and all predictions in their order."""
     rows = []
-    for (name, window), prediction in zip(windows.items(), predicted):
+    for (name, window), prediction in zip(windows.items(), np.split(predicted, np.cumsum([len(w) for w in windows.values()])[:-1])):
         with _named(f"recording {name!r}"):
             judged = judge(window, prediction, range_over=range_over)
         rows += [{"recording": name, "horizon": seconds, **row} for row in judged]
