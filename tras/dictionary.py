@@ -24,7 +24,8 @@ class Dictionary(BaseEstimator):
     ``_build()``
         Derives the rest from them and from ``n_states_``, ``n_inputs_``; returns how many functions follow the head.
     ``_fill(psi, z)``
-        Writes them into ``psi[head:]``; ``psi`` is (N, points), its head (constant, states, inputs) is there already.
+        Writes them into ``psi[head:]``; ``psi`` is (N, points), its head (constant, states, inputs) is there already. Several threads may call it
+        at once, for strips of points.
     ``_fill_slopes(slopes, psi, z)``
         Writes their derivatives by the states into ``slopes[head:]``, (N, n, points), zero so far.
     ``_tail_names(channels)``
