@@ -57,6 +57,13 @@ def test_outside_it_is_the_nearest_point_of_the_box(cloud):
     assert np.allclose(hull.nearest(both)[:, 0], cloud[:, 0], atol=1e-15)
 
 
+def test_a_box_far_from_the_origin_is_not_its_mirror_image(cloud):
+    hull = rollout.Hull(cloud + 10)
+    inside = cloud[:, :1] + 10
+    assert hull.nearest(inside) is inside
+    assert np.abs(hull.nearest(-inside) - inside).max() < 3 and np.abs(hull.nearest(np.zeros((3, 1))) - inside).max() < 3
+
+
 def test_only_confined_channels_are_held(cloud):
     hull = rollout.Hull(cloud, confined=[1])
     z = np.array([[50.0], [50.0], [-50.0]])
