@@ -418,7 +418,7 @@ def strange_blocks():
     """Blocks of one panel's size, smaller ones between them, and a direction that only later ones contain."""
     rng = np.random.default_rng(5)
     blocks = []
-    for k, rows in enumerate([4096, 4500, 8191, 4100, 100, 4096, 5000, 9000, 4096, 30, 4200]):
+    for k, rows in enumerate([4096, 4500, 8191, 4100, 4097, 5000, 100, 9000, 4096, 4200, 30, 4200]):
         x = rng.normal(size=(rows, 12))
         x[:, 11] = x[:, 10] * (1 + 1e-7 * rng.normal(size=rows)) if k < 3 else x[:, 11]
         x[:, 9] *= 1e-9 if k < 8 else 1.0
