@@ -4,6 +4,7 @@ import json
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import tras
@@ -219,3 +220,22 @@ def test_the_whole_grid_has_every_combination_once():
     assert {name: grid.dictionary(name).fit(np.zeros((5, 4)), np.zeros((5, 2))).names.__len__() for name in readings.choices("dictionary")} == {
         "gaussian": 9, "gaussian28": 35, "monomials2": 28, "monomials3": 84, "exponentials": 19, "linear": 7,
     }  # fmt: skip
+
+
+def test_only_models_of_the_same_functions_and_steps_are_alike(experiment):
+    recording = experiment.select(inputs=["u_phi", "u_psi"])
+    plain = {"regularization": None, "extrapolation": "functions"}
+    fitted = [
+        tras.KoopmanModel(dictionary, **(plain | options)).fit(recording)
+        for dictionary, options in [
+            (tras.Monomials(1), {}), (tras.GaussianRBF(2, seed=0), {}), (tras.GaussianRBF(2, seed=1), {}), (tras.Monomials(1), {"field": "least_squares"}),
+            (tras.Mechanical(2), {"extrapolation": "linear"}), (tras.Mechanical(2), {"extrapolation": "linear"}), (tras.Monomials(1), {"predictor": "one_step"}),
+        ]
+    ]  # fmt: skip
+    assert stacked.alike(fitted) == [[0, 3], [1], [2], [4], [5], [6]]
+    fitted[3].substeps_ += 1
+    assert stacked.alike(fitted)[0] == [0]
+    # Models of several structures are scored as each by itself.
+    windows = [{"a": recording[k : k + 2]} for k in range(len(fitted))]
+    for model, own, table in zip(fitted, windows, validation.score_together(fitted, windows, 2.0)):
+        pd.testing.assert_frame_equal(table, validation.score(model, own, 2.0), rtol=1e-9)

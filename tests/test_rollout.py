@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import tras
-from tras import rollout
+from tras import koopman, rollout
 
 BOUNDED = [tras.Monomials(3), tras.Exponentials(), tras.GaussianRBF(20)]
 
@@ -191,3 +191,12 @@ def test_roll_out_abandons_only_what_left():
     first = int(np.argmax(lost))
     assert first == 7 and lost[first:].all()  # 3^7 > 1000
     assert np.allclose(states[:, 0, 2], -0.5 * 0.5 ** np.arange(30))
+
+
+@pytest.mark.parametrize("columns", ["all", "states"])
+def test_beyond_the_hull_a_model_follows_the_linear_one_of_its_data(columns, torque_data):
+    model = tras.KoopmanModel(tras.Monomials(2), "one_step", strength=1e-2, columns=columns).fit(torque_data)
+    change = koopman.koopman_matrix(tras.Monomials(1).fit(np.zeros(4), np.zeros(2)), model._scaled(torque_data))[0] - np.eye(7)
+    wanted = rollout.outward_rates(change, 4, model.dt_, 4)
+    assert np.allclose(model.outward_, wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
+    assert np.array_equal(model.outward_step_, rollout.over_a_sample(model.outward_, model.dt_))
