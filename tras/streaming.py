@@ -15,7 +15,7 @@ import numpy as np
 from tqdm import tqdm
 
 from tras import checkpoint as store
-from tras import distributed, koopman, scaling
+from tras import distributed, executors, koopman, scaling
 from tras.pieces import Piece, RecordingFile, Stream, UnreadableError, without
 from tras.recording import Recording, join, whole_number
 from tras.selection import WINDOW
@@ -314,8 +314,7 @@ def _require_shareable(source, checkpoint, scheduler, parts):
         raise ValueError("checkpoint is for a fit by one process; leave it out, or leave out scheduler and parts.")
     if parts is not None and whole_number("parts", parts) < 1:
         raise ValueError(f"parts = {parts}; give the number of parts of the data, 1 or more.")
-    if scheduler not in (None, "processes") and not (isinstance(scheduler, str) and "://" in scheduler):
-        raise ValueError(f"scheduler is {scheduler!r}; give None, 'processes', or an address such as 'tcp://host:8786'.")
+    executors.require_scheduler(scheduler)
 
 
 def _bar(what, pairs, progress):
