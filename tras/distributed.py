@@ -4,8 +4,9 @@ The parts do not depend on the workers, and all of them begin with one basis, wh
 give the same bits for the same number of parts, as long as the machines do (processor, libraries; BLAS is held to one thread). Another number of parts, or a fit
 without parts, adds the same rows in another order, and differs by rounding.
 
-What travels: to a worker, once, the model without rows (dictionary and scales, some kilobytes), names of files or the recordings themselves; back from
-it, for each part, the solver's state, about four matrices of the size of K.
+What travels: to a worker, once, the model without rows (dictionary and scales, some kilobytes), names of files, datasets as xarray pickles them (a name
+or a graph, unless their numbers are in memory), or the recordings themselves; back from it, for each part, the solver's state, about four matrices of the
+size of K.
 """
 
 import copy
