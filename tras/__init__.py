@@ -35,6 +35,7 @@ _ROOMS = {
     "KoopmanModel": "model",
     "choose": "search",
     "candidates": "search",
+    "sweep": "sweeps",
     "add_noise": "noise",
     "noise_level": "noise",
     "smooth": "smoothing",
