@@ -92,7 +92,7 @@ def spelled(value):
         inner = {key: spelled(item) for key, item in value.get_params(deep=False).items()}
         return f"{type(value).__name__}({', '.join(f'{key}={item}' for key, item in inner.items())})"
     if isinstance(value, (list, tuple)):
-        return f"[{', '.join(map(_described, value))}]"
+        return f"[{', '.join(map(spelled, value))}]"
     if isinstance(value, np.random.Generator):
         return f"Generator {_digest(repr(value.bit_generator.state).encode())}"
     if isinstance(value, np.ndarray):

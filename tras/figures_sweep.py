@@ -1,6 +1,7 @@
 """The figure of a sweep (`tras.sweep`); see `tras.figures`."""
 
 import numpy as np
+from matplotlib.ticker import LogLocator
 
 from tras.figures import new_figure, require, styled
 
@@ -45,9 +46,12 @@ def sweep_figure(table):
                 shown = chosen[(chosen["diverged"] > 0) == hollow]
                 style = {"color": colour, "markersize": size, "markeredgewidth": 0.7, "markerfacecolor": "white" if hollow else colour}
                 axes.plot(shown["functions"], shown["error"], marker=marker, linestyle="none", **style)
+    if (table["diverged"] > 0).any():
+        axes.plot([], [], marker="o", linestyle="none", color="0.4", markerfacecolor="white", markeredgewidth=0.7, label="a window diverged")
     axes.set(xscale="log", yscale="log", xlabel="number of functions N", ylabel="error of roll-outs (half-ranges)")
     axes.set_xlim(table["functions"].min() / 1.3, table["functions"].max() * 1.3)
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter("")
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, columnspacing=1.2)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, columnspacing=1.2)
     return figure

@@ -18,7 +18,7 @@ from tras import figures, figures_sweep, sweeps
 from tras.closed_loop import simulate_closed_loop
 from tras.excitation import PITCH_MAX_FREQUENCY, PITCH_PEAK, YAW_MAX_FREQUENCY, YAW_PEAK, multisine
 from tras.files import replacing
-from tras.parameters import parse_yaml
+from tras.parameters import ParameterError, parse_yaml
 from tras.recording import Recording
 from tras.sweep_grid import DATA, MODEL, hint
 
@@ -92,6 +92,8 @@ def read(path):
         content = parse_yaml(Path(path).read_text(encoding="utf-8"), path)
     except (OSError, UnicodeError) as error:
         raise DescriptionError(f"{path} cannot be read ({getattr(error, 'strerror', None) or error}); check the path.") from None
+    except ParameterError as error:
+        raise DescriptionError(str(error)) from None
     return _checked(Description, content, f"{path}: ")
 
 
