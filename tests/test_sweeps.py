@@ -18,6 +18,7 @@ GRID = [
     {"dictionary": [tras.Monomials(1), tras.Monomials(2)], "predictor": ["one_step", "lifted_linear"], "strength": 1e-3, "delays": [0, 1]},
     {"dictionary": "GaussianRBF", "strength": 0.0, "predictor": "one_step", "seconds": 20.0},
 ]
+ONE = {"dictionary": tras.Monomials(1), "predictor": "one_step", "strength": 0.0}
 RESULTS = ["functions", "pairs", "condition", "strength_used", "error", "nrmse_x1", "nrmse_x2", "windows", "diverged", "outcome", "best"]
 
 
@@ -107,21 +108,36 @@ def test_held_out_files_and_windows(path, recording, tmp_path):
     assert list(part["functions"]) == [3] and "nrmse_x2" in part and part.columns.get_loc("nrmse_x2") < part.columns.get_loc("nrmse_x1")
 
 
-def test_fits_that_fail_and_predictions_that_run_away_are_rows(recording):
-    unstable = linear_system([[0.8]], [[1.0]], 0.5, trajectories=10, samples=21)[0]
-    noisy = tras.Recording(unstable.states * np.random.default_rng(0).lognormal(0, 0.5, unstable.states.shape), unstable.inputs, 0.5)
-    grid = [
-        {"dictionary": tras.Monomials(12), "strength": 0.0, "predictor": "one_step", "seconds": 20.0},
-        {"dictionary": tras.Monomials(3), "strength": 0.0, "predictor": "one_step", "extrapolation": "functions", "regularization": None},
-    ]
-    table = run(noisy, grid, window=10.0)
-    assert table["outcome"].iloc[0] == "no model: 40 snapshot pairs cannot determine 91 functions; record at least 91 pairs or use a smaller dictionary."
-    assert table.loc[0, [name for name in RESULTS[:-2] if name in table]].isna().all() and list(table["best"]) == [False, True]
-    assert 0 < table["diverged"].iloc[1] <= table["windows"].iloc[1] == 2
-    none = run(noisy, grid[0], window=10.0)
+def test_a_fit_that_fails_is_a_row(recording):
+    grid = [{"dictionary": tras.Monomials(12), "strength": 0.0, "predictor": "one_step", "seconds": 20.0}, ONE]
+    table = run(recording, grid)
+    assert table["outcome"].iloc[0] == "no model: 200 snapshot pairs cannot determine 455 functions; record at least 455 pairs or use a smaller dictionary."
+    assert table.loc[0, RESULTS[:-2]].isna().all() and list(table["best"]) == [False, True]
+    none = run(recording, grid[0])
     assert not none["best"].any()
     with pytest.raises(ValueError, match="table has no model"):
         figures_sweep.sweep_figure(none)
+
+
+def test_windows_that_diverge_are_counted_and_left_out_of_nrmse_only(recording, monkeypatch):
+    predict, whole = tras.KoopmanModel.predict, run(recording, ONE)
+
+    def running_away(self, recording):
+        predicted = predict(self, recording)
+        predicted[1, 30:] = np.nan
+        return predicted
+
+    monkeypatch.setattr(tras.KoopmanModel, "predict", running_away)
+    table = run(recording, ONE)
+    train, held = recording.split(0.8, 0)
+    rest, span = held[[0, 2, 3]], np.ptp(held.states, axis=(0, 1))
+    predicted = predict(tras.KoopmanModel(tras.Monomials(1), "one_step", strength=0.0).fit(train), rest)
+    assert (table["windows"].iloc[0], table["diverged"].iloc[0]) == (4, 1)
+    assert [table["nrmse_x1"].iloc[0], table["nrmse_x2"].iloc[0]] == pytest.approx(nrmse(rest.states, predicted, span=span))
+    assert table["error"].iloc[0] == pytest.approx(np.sqrt(100 * 31 / (4 * 61)), rel=0.05) and whole["error"].iloc[0] < 0.5
+    monkeypatch.setattr(tras.KoopmanModel, "predict", lambda *_: np.full_like(held.states, np.nan))
+    lost = run(recording, ONE)
+    assert lost["diverged"].iloc[0] == 4 and np.isnan(lost["nrmse_x1"].iloc[0]) and lost["error"].iloc[0] == pytest.approx(10.0)
 
 
 # ---------------------------------------------------------------------------------------------------------------------- where it runs
@@ -270,9 +286,6 @@ def test_other_code_on_a_worker_is_named(path, cluster, monkeypatch):
     monkeypatch.setattr(sweeps.results_cache, "code_digest", lambda *_: "changed here")
     with pytest.raises(executors.SchedulerError, match="worker tcp://.* has the code of tras in the state .* but changed here is needed"):
         run(path, scheduler=cluster.scheduler_address)
-
-
-ONE = {"dictionary": tras.Monomials(1), "predictor": "one_step", "strength": 0.0}
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,9 @@ from tras.recording import Recording, require_alike, versions
 from tras.sweep_grid import DICTIONARIES
 from tras.sweep_point import Data, File
 
-_RESULTS = ("functions", "pairs", "condition", "strength_used", "error", "windows", "diverged")
+_RESULTS = {
+    "functions": "Int64", "pairs": "Int64", "condition": float, "strength_used": float, "error": float, "windows": "Int64", "diverged": "Int64",
+}  # fmt: skip
 
 
 def sweep(
@@ -189,7 +191,7 @@ def _table(points, values, names):
     rows = []
     for k, (point, value) in enumerate(zip(points, values)):
         nrmse = value.get("nrmse") or [None] * len(names)
-        found = {name: value.get(name) for name in _RESULTS[:5]} | {f"nrmse_{name}": error for name, error in zip(names, nrmse)}
-        found |= {name: value.get(name) for name in _RESULTS[5:]}
+        found = {name: value.get(name) for name in _RESULTS} | {f"nrmse_{name}": error for name, error in zip(names, nrmse)}
+        found |= {name: found.pop(name) for name in ("windows", "diverged")}  # behind the errors
         rows.append({**point.options(), **found, "outcome": value["outcome"], "best": k == least, "model": point.model})
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows).astype(_RESULTS | {f"nrmse_{name}": float for name in names})
