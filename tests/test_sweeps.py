@@ -416,3 +416,13 @@ def test_roles_no_file_no_model_and_ctrl_c(recording, tmp_path, capsys, monkeypa
     (tmp_path / "mine.yaml").write_text(json.dumps(description))
     assert sweep_run.main(call) == 130
     assert "interrupted; 0 of 1 fits are done and kept in" in capsys.readouterr().err
+
+
+def test_the_description_in_the_documentation_is_one():
+    text = (sweep_run.Path(__file__).parent.parent / "docs" / "scale.md").read_text(encoding="utf-8")
+    block = text.partition("```yaml\n")[2].partition("```")[0]
+    given = sweep_run._checked(sweep_run.Description, sweep_run.parse_yaml(block, "docs/scale.md"), "").arguments()
+    assert given["recording"] == ["monday.nc", "tuesday.nc"] and given["held_out"] == ["friday.nc"]
+    assert len(points(given["grid"])) == 4 * 2 * 2 * 2 * 2
+    default = sweep_run.read(sweep_run.Path(__file__).parent.parent / "params" / "sweep.yaml")
+    assert len(points(default.models)) == 96  # as the documentation says
