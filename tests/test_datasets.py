@@ -62,6 +62,8 @@ def test_a_checkpoint_of_the_file_serves_the_dataset(path, dataset, tmp_path):
 def test_datasets_in_memory_and_of_parts_of_the_channels(path):
     recording = tras.Recording.read(path)
     assert same(model().fit(recording.to_xarray(), chunk=CHUNK), model().fit(path, chunk=CHUNK))
+    shuffled = recording.to_xarray()[["force", "p", "row_size", "q"]]
+    assert same(model().fit(shuffled, chunk=CHUNK), model().fit(path, chunk=CHUNK))
     part = RecordingDataset(recording.to_xarray()).select(states=["p", "q"], inputs=[])
     assert [piece.pairs for piece in part.pieces(3000)] == [3000, 1000, 1, 2599]
     assert all(np.array_equal(piece.x, x) for piece, (x, _) in zip(part.pieces(10_000), recording.select(states=["p", "q"])))

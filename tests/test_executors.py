@@ -7,7 +7,9 @@ import os
 import signal
 import socket
 import threading
+import time
 
+import psutil
 import pytest
 
 from tras import executors
@@ -95,6 +97,24 @@ def test_who_stops_asking_stops_the_work(elsewhere, tmp_path):
     next(results)
     results.close()
     assert len(list(tmp_path.iterdir())) < 10
+
+
+def test_an_interrupted_run_leaves_no_process_at_work(tmp_path):
+    def work(k):
+        import os
+        import time
+
+        (tmp_path / str(os.getpid())).touch()
+        time.sleep(60 * k)
+
+    results = executors.run(work, [(0,), (1,), (1,)], scheduler="processes", processes=2)
+    next(results)
+    results.close()
+    for _ in range(200):
+        if not any(psutil.pid_exists(int(path.name)) for path in tmp_path.iterdir()):
+            break
+        time.sleep(0.05)
+    assert list(tmp_path.iterdir()) and not any(psutil.pid_exists(int(path.name)) for path in tmp_path.iterdir())
 
 
 def test_the_scheduler_looks_for_workers_that_differ(cluster):

@@ -97,6 +97,12 @@ def test_options_of_the_data():
     assert table["error"].iloc[7] > 1e-3 > 1e-9 > table["error"].iloc[1]  # means of the inputs are not quite what acted
 
 
+def test_the_rest_of_a_thinned_trajectory_is_averaged_too():
+    thinned = sweep_point._thinned(tras.Recording([np.arange(8.0)[:, None]], [np.arange(8.0)[:, None] ** 2], 0.5), 3)
+    assert thinned.dt == 1.5 and thinned.states[0, :, 0].tolist() == [0, 3, 6] and thinned.inputs[0, :, 0].tolist() == [5 / 3, 50 / 3, 85 / 2]
+    assert sweep_point._thinned(tras.Recording([np.arange(8.0)[:, None]], None, 0.5), 3).inputs.shape == (1, 3, 0)
+
+
 def test_held_out_files_and_windows(path, recording, tmp_path):
     """A second recording to judge by: nothing is split. Files larger than a chunk are read in pieces."""
     recording[:5].write(tmp_path / "held.nc")
@@ -124,13 +130,16 @@ def test_windows_that_diverge_are_counted_and_left_out_of_nrmse_only(recording, 
 
     def running_away(self, recording):
         predicted = predict(self, recording)
-        predicted[1, 30:] = np.nan
+        predicted[widest, 30:] = np.nan
         return predicted
+
+    held = recording.split(0.8, 0)[1]
+    widest = int(np.argmax(np.abs(held.states[..., 0]).max(axis=1)))  # without it the range is another one
 
     monkeypatch.setattr(tras.KoopmanModel, "predict", running_away)
     table = run(recording, ONE)
     train, held = recording.split(0.8, 0)
-    rest, span = held[[0, 2, 3]], np.ptp(held.states, axis=(0, 1))
+    rest, span = held[np.arange(4) != widest], np.ptp(held.states, axis=(0, 1))
     predicted = predict(tras.KoopmanModel(tras.Monomials(1), "one_step", strength=0.0).fit(train), rest)
     assert (table["windows"].iloc[0], table["diverged"].iloc[0]) == (4, 1)
     assert [table["nrmse_x1"].iloc[0], table["nrmse_x2"].iloc[0]] == pytest.approx(nrmse(rest.states, predicted, span=span))
@@ -202,21 +211,22 @@ def test_a_second_sweep_computes_nothing_and_a_wider_one_what_is_new(path, compu
     assert len(calls) == 1 and same(wider.iloc[:9].assign(best=table["best"]), table)
 
 
-@pytest.mark.parametrize("change", ["data", "window", "delays", "code", "fraction", "states"])
+@pytest.mark.parametrize("change", [None, "data", "window", "delays", "code", "fraction", "states", "seconds"])
 def test_what_the_result_depends_on_is_in_the_key(path, recording, computed, tmp_path, monkeypatch, change):
     folder, calls = copied(computed[0], tmp_path), counted(monkeypatch)
-    options, grid = {"cache": folder}, GRID[1]
+    grid = [{"dictionary": tras.Monomials(1), "predictor": "one_step", "strength": 1e-3, "delays": 1}]  # one of GRID's
     if change == "data":
         path = tmp_path / "other.nc"
         tras.Recording(recording.states + 1e-9, recording.inputs, 0.1).write(path)
-    if change == "delays":
-        run(path, grid, cache=folder)  # alone, its predictions begin at the first sample
-        grid, calls[:] = [grid, {"dictionary": tras.Monomials(1), "delays": 3, "strength": 0.0, "predictor": "one_step"}], []
-    options |= {"window": {"window": 3.0}, "fraction": {"train_fraction": 0.5}, "states": {"states": ["x2", "x1"]}}.get(change, {})
+    if change == "delays":  # of another model: all predictions begin later
+        grid.append(ONE | {"delays": 3})
+    if change == "seconds":
+        grid[0]["seconds"] = 90.0
     if change == "code":
         monkeypatch.setattr(cache, "code_digest", lambda *_: "other code")
-    run(path, grid, **options)
-    assert len(calls) == len(points(grid))
+    options = {"window": {"window": 3.0}, "fraction": {"train_fraction": 0.5}, "states": {"states": ["x2", "x1"]}}.get(change, {})
+    run(path, grid, cache=folder, **options)
+    assert len(calls) == (len(grid) if change else 0)
 
 
 def test_a_moved_file_is_the_same_data(path, computed, tmp_path, monkeypatch):
