@@ -1,8 +1,8 @@
 """One fit by many workers: each absorbs a part of the data, and what they found is merged in the order of the parts.
 
 The parts do not depend on the workers, and all of them begin with one basis, which is made here of the first pairs. So one worker, four, and none
-give the same bits for the same number of parts, as long as the machines do (processor, libraries; BLAS is held to one thread). Another number of parts, or a fit
-without parts, adds the same rows in another order, and differs by rounding.
+give the same bits for the same number of parts, as long as the machines do (processor, libraries; BLAS is held to one thread). Another number of parts, or a
+fit without parts, adds the same rows in another order, and differs by rounding.
 
 What travels: to a worker, once, the model without rows (dictionary and scales, some kilobytes), names of files, datasets as xarray pickles them (a name
 or a graph, unless their numbers are in memory), or the recordings themselves; back from it, for each part, the solver's state, about four matrices of the

@@ -150,7 +150,8 @@ def _dask(work, jobs, shared, address, alike):
     from distributed import Client
 
     _require_answer(address)
-    with _hushed(), Client(address, timeout=_PATIENCE, set_as_default=False) as client, dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"}):  # recordings in memory are sent knowingly
+    quiet = dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"})  # recordings in memory are sent knowingly
+    with _hushed(), Client(address, timeout=_PATIENCE, set_as_default=False) as client, quiet:
         wanted = alike()
         _require_alike(client, address, alike, wanted)
         # As a task: what was scattered would be lost with the one worker that holds it, a task is done again.

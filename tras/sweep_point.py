@@ -135,7 +135,9 @@ def _require_unchanged(source):
             f"{source.path} cannot be read by a worker on {platform.node()} ({reason}); put it where every worker sees it under this path, or give a Recording."
         ) from None
     if not same:
-        raise ValueError(f"{source.path} as seen by a worker on {platform.node()} is not what it was when the sweep began; make them the same, and sweep again.")
+        raise ValueError(
+            f"{source.path} as seen by a worker on {platform.node()} is not what it was when the sweep began; make them the same, and sweep again."
+        )
 
 
 def _digest(path):
@@ -167,7 +169,8 @@ def _first(recording, seconds):
     """The first so many seconds: whole trajectories, and the beginning of the next."""
     left, states, inputs = round(seconds / recording.dt), [], []
     if not 0 < left <= recording.pairs:
-        raise ValueError(f"seconds = {seconds:g}, but there are {recording.pairs * recording.dt:g} s to train on, in steps of {recording.dt:g} s; give less, or None for all.")
+        there = f"there are {recording.pairs * recording.dt:g} s to train on, in steps of {recording.dt:g} s"
+        raise ValueError(f"seconds = {seconds:g}, but {there}; give less, or None for all.")
     for x, u in recording:
         if left > 0:
             states.append(x[: left + 1])
