@@ -18,6 +18,7 @@ from tras.recording import versions
 _ATTEMPTS = 3  # a job whose worker dies more often than that is given up
 _PATIENCE = 5.0  # seconds to wait for a scheduler, and for its first worker
 _LOOK = 10.0  # seconds without a result after which one looks whether there are workers still
+_LARGE = {"distributed.admin.large-graph-warning-threshold": "1 GiB"}  # recordings in memory are sent knowingly
 _IDLE = 60  # seconds after which a local process that has nothing to do ends
 
 
@@ -150,8 +151,7 @@ def _dask(work, jobs, shared, address, alike):
     from distributed import Client
 
     _require_answer(address)
-    quiet = dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"})  # recordings in memory are sent knowingly
-    with _hushed(), Client(address, timeout=_PATIENCE, set_as_default=False) as client, quiet:
+    with _hushed(), dask.config.set(_LARGE), Client(address, timeout=_PATIENCE, set_as_default=False) as client:
         wanted = alike()
         _require_alike(client, address, alike, wanted)
         # As a task: what was scattered would be lost with the one worker that holds it, a task is done again.
