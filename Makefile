@@ -97,8 +97,8 @@ figures: $(BUILD)/04_figures.ipynb $(OUT_04) ## all figures, and what they need
 report: stages ## one page that tells it all and needs no network: build/paper/report.html
 	@$(PY) -m tras.report $(BUILD)/report.html --data $(DATA) --figures $(FIGURES) --build $(BUILD)
 
-SWEEP ?= params/sweep.yaml
-sweep: $(READY) ## many fits, described by SWEEP=params/sweep.yaml, on this machine's cores or SCHEDULER=tcp://host:8786
+SWEEP ?= params/sweeps/dictionaries.yaml
+sweep: $(READY) ## many fits, described by SWEEP=params/sweeps/dictionaries.yaml, on this machine's cores or SCHEDULER=tcp://host:8786
 	@$(PY) -m tras.sweep_run $(SWEEP) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
 smoke: $(READY) ## the same stages, small, below build/smoke/

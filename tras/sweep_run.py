@@ -1,6 +1,6 @@
 """`make sweep`: a sweep that a YAML file describes, its table and figure in a folder.
 
-    python -m tras.sweep_run params/sweep.yaml --out build/sweep/sweep [--scheduler tcp://host:8786]
+    python -m tras.sweep_run params/sweeps/dictionaries.yaml --out build/sweep/dictionaries [--scheduler tcp://host:8786]
 
 The folder gets ``table.csv``, ``error.pdf``, .svg, .png and .csv, and ``cache/``. Killed or interrupted, the same command goes on where it was.
 """
@@ -143,7 +143,7 @@ def _said(name, value):
 def main(arguments=None):
     """Command line; returns the exit status: 0, 1 (no model, or data, scheduler or disk failed), 2 (the call was wrong), 130 (interrupted)."""
     parser = argparse.ArgumentParser(prog="python -m tras.sweep_run", description="Fit and judge every point of a grid.")
-    parser.add_argument("description", type=Path, help="YAML file, for example params/sweep.yaml")
+    parser.add_argument("description", type=Path, help="YAML file, for example params/sweeps/dictionaries.yaml")
     parser.add_argument("--out", type=Path, help="folder for table, figure and cache (default: build/sweep/NAME)")
     parser.add_argument("--scheduler", default="processes", help="'processes' (default), 'none', or the address of a Dask scheduler: tcp://host:8786")
     options = parser.parse_args(arguments)
