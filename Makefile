@@ -77,7 +77,7 @@ LOCKED := $(shell { sha256sum environment.txt || shasum -a 256 environment.txt; 
 READY := .venv/.ready-$(LOCKED)
 PY := .venv/bin/python
 
-.PHONY: help setup all stages paper figures report smoke test verify bless lab lock readme clean distclean FORCE
+.PHONY: help setup all stages paper figures report sweep smoke test verify bless lab lock readme clean distclean FORCE
 
 help: ## list the targets (this text)
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
@@ -96,6 +96,10 @@ figures: $(BUILD)/04_figures.ipynb $(OUT_04) ## all figures, and what they need
 
 report: stages ## one page that tells it all and needs no network: build/paper/report.html
 	@$(PY) -m tras.report $(BUILD)/report.html --data $(DATA) --figures $(FIGURES) --build $(BUILD)
+
+SWEEP ?= params/sweeps/dictionaries.yaml
+sweep: $(READY) ## many fits, described by SWEEP=params/sweeps/dictionaries.yaml, on this machine's cores or SCHEDULER=tcp://host:8786
+	@$(PY) -m tras.sweep_run $(SWEEP) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
 smoke: $(READY) ## the same stages, small, below build/smoke/
 	@$(MAKE) PROFILE=smoke stages

@@ -18,6 +18,15 @@ def experiment(parameters):
     return tras.simulate_closed_loop(reference, 0.01, parameters).cut(501)
 
 
+@pytest.fixture(scope="session")
+def cluster():
+    """Two workers of Dask, processes of one thread."""
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, processes=True) as cluster:
+        yield cluster
+
+
 def linear_system(A, B, dt, *, trajectories=10, samples=60, seed=0):
     """An exact recording of dx/dt = A x + B u with held random inputs: (Recording, Ad, Bd)."""
     from scipy.linalg import expm

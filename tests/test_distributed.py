@@ -5,11 +5,11 @@ import signal
 
 import numpy as np
 import pytest
-from distributed import Client, LocalCluster
+from distributed import Client
 
 import tras
-from tras import distributed
-from tras.distributed import SchedulerError
+from tras import distributed, executors
+from tras.executors import SchedulerError
 
 CHUNK = 2000
 LABELS = {"state_names": ["phi", "phidot"], "input_names": ["u"]}
@@ -33,12 +33,6 @@ def paths(tmp_path_factory):
     return sorted(folder.glob("*.nc"))
 
 
-@pytest.fixture(scope="module")
-def cluster():
-    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None, processes=True) as cluster:
-        yield cluster
-
-
 def model(**options):
     return tras.KoopmanModel(tras.Monomials(3), **({"strength": 0.0} | options))
 
@@ -50,12 +44,10 @@ def same(a, b):
     )  # fmt: skip
 
 
-def test_none_one_and_several_workers_agree_to_the_bit(paths, cluster):
+def test_none_and_several_workers_agree_to_the_bit(paths, cluster):
     """... for the same parts. Another partition, or none, adds the same rows in another order."""
     alone = model().fit(paths, chunk=CHUNK, parts=5)
     assert alone.pairs_ == sum(tras.Recording.open(path).pairs for path in paths)
-    assert same(alone, model().fit(paths, chunk=CHUNK, parts=5, scheduler=cluster.scheduler_address))
-    cluster.scale(2)
     assert same(alone, model().fit(paths, chunk=CHUNK, parts=5, scheduler=cluster.scheduler_address))
     for other in (model().fit(paths, chunk=CHUNK), model().fit(paths, chunk=CHUNK, parts=2)):
         assert np.abs(other.koopman_matrix - alone.koopman_matrix).max() <= 1e-12 and other.strength_ == alone.strength_
@@ -83,22 +75,31 @@ def test_recordings_in_memory_and_other_predictors(paths):
 def killing(marker, absorb_part=distributed.absorb_part):
     """`absorb_part` in a worker that is killed the first time it comes to the second part."""
 
-    def absorb(model, stream, groups, held, length):
+    def absorb(model, stream, held, length, groups):
         if groups[0][0] > 0 and not marker.exists():
             marker.write_text("killed")
             os.kill(os.getpid(), signal.SIGKILL)
-        return absorb_part(model, stream, groups, held, length)
+        return absorb_part(model, stream, held, length, groups)
 
     return absorb
 
 
-@pytest.mark.parametrize("kind", ["dask", "processes"])
-def test_a_worker_killed_on_the_way_costs_time_only(paths, cluster, tmp_path, monkeypatch, kind):
+def test_a_worker_killed_on_the_way_costs_time_only(paths, cluster, tmp_path, monkeypatch):
     alone = model().fit(paths, chunk=CHUNK, parts=4)
     monkeypatch.setattr(distributed, "absorb_part", killing(tmp_path / "marker"))
-    scheduler = cluster.scheduler_address if kind == "dask" else "processes"
-    assert same(alone, model().fit(paths, chunk=CHUNK, parts=4, scheduler=scheduler))
+    assert same(alone, model().fit(paths, chunk=CHUNK, parts=4, scheduler=cluster.scheduler_address))
     assert (tmp_path / "marker").exists()
+
+
+def test_one_local_process_has_the_same_bits(paths, monkeypatch):
+    monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")
+    assert same(model().fit(paths, chunk=CHUNK, parts=4), model().fit(paths, chunk=CHUNK, parts=4, scheduler="processes"))
+
+
+def test_a_part_that_kills_every_worker_is_named(paths, monkeypatch):
+    monkeypatch.setattr(executors, "_processes", lambda work, jobs, *_: ((k, lambda: executors.Lost("its process was killed")) for k in range(len(jobs))))
+    with pytest.raises(SchedulerError, match="part 0 of 3 was lost: its process was killed; use a smaller chunk"):
+        model().fit(paths, chunk=CHUNK, parts=3, scheduler="processes")
 
 
 def test_workers_with_other_versions_are_named(paths, cluster):
@@ -138,7 +139,7 @@ def test_a_part_that_fails_says_why(paths, cluster, tmp_path):
     ],
 )
 def test_mistakes_are_named(paths, monkeypatch, options, words):
-    monkeypatch.setattr(distributed, "_PATIENCE", 0.5)
+    monkeypatch.setattr(executors, "_PATIENCE", 0.5)
     with pytest.raises(ValueError, match=words):
         model().fit(paths, chunk=CHUNK, **options)
     with pytest.raises(ValueError, match="recording is an iterator or a callable, which workers cannot share"):

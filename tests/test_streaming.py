@@ -368,7 +368,7 @@ def one_of(recording, k):
         (lambda r, p: plain().fit("nowhere.nc"), "nowhere.nc does not exist"),
         (lambda r, p: plain().fit(p.with_suffix(".txt")), "ends in '.txt'"),
         (lambda r, p: plain().fit(iter([])), "recording is empty"),
-        (lambda r, p: plain().fit(iter([r, 3])), "recording 1 is int; give a tras.Recording or the path of a file"),
+        (lambda r, p: plain().fit(iter([r, 3])), "recording 1 is int; give a tras.Recording, the path of a file or an xarray.Dataset"),
         (lambda r, p: plain().fit([p, r.select(inputs=["u_phi"])]), "recording 1 has input_names"),
         (lambda r, p: plain().fit(r, chunk=0), "chunk = 0; give the number"),
         (lambda r, p: plain().fit(p, chunk=CHUNK, ranges={"phi": (0, 1)}), "ranges holds no pair .lowest, highest. for the channel 'phidot'"),

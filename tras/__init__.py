@@ -36,6 +36,7 @@ _ROOMS = {
     "KoopmanModel": "model",
     "choose": "search",
     "candidates": "search",
+    "sweep": "sweeps",
     "add_noise": "noise",
     "noise_level": "noise",
     "smooth": "smoothing",

@@ -45,7 +45,7 @@ def clear_temporaries(folder):
 
 def write(path, options, value):
     """Store ``value``, anything that JSON holds (NaN as null), with the options it belongs to."""
-    value = _without_nan(value)
+    value = plain(value)
     content = {"options": options, "check": digest(json.dumps(value, sort_keys=True)), "value": value}
     with replacing(path) as temporary:
         temporary.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
@@ -89,11 +89,12 @@ def _to_stderr(sentence):
     print(sentence, file=sys.stderr)
 
 
-def _without_nan(value):
+def plain(value):
+    """The value as JSON gives it back: tuples as lists, NaN as None."""
     if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_without_nan(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -80,18 +80,19 @@ def described(model):
     """What the rows of the least-squares problem depend on, as JSON holds it: the method and strength that solve it do not matter."""
     chooses = model.regularization is not None and model.strength == "auto"
     return {
-        "dictionary": _described(model.dictionary), "predictor": "lifted_linear" if model.predictor == "lifted_linear" else "vector_field or one_step",
+        "dictionary": spelled(model.dictionary), "predictor": "lifted_linear" if model.predictor == "lifted_linear" else "vector_field or one_step",
         "delays": int(model.delays), "earlier inputs": bool(model.delays and model.predictor != "vector_field"),
         "extrapolation": model.extrapolation, "columns": model.columns, "strength": "auto" if chooses else "given",
     }  # fmt: skip
 
 
-def _described(value):
+def spelled(value):
+    """An estimator with all its parameters, or the value of one, in a line of text; arrays and generators by a digest."""
     if isinstance(value, BaseEstimator):
-        inner = {key: _described(item) for key, item in value.get_params(deep=False).items()}
+        inner = {key: spelled(item) for key, item in value.get_params(deep=False).items()}
         return f"{type(value).__name__}({', '.join(f'{key}={item}' for key, item in inner.items())})"
     if isinstance(value, (list, tuple)):
-        return f"[{', '.join(map(_described, value))}]"
+        return f"[{', '.join(map(spelled, value))}]"
     if isinstance(value, np.random.Generator):
         return f"Generator {_digest(repr(value.bit_generator.state).encode())}"
     if isinstance(value, np.ndarray):

@@ -1,11 +1,12 @@
 """One fit by many workers: each absorbs a part of the data, and what they found is merged in the order of the parts.
 
 The parts do not depend on the workers, and all of them begin with one basis, which is made here of the first pairs. So one worker, four, and none
-give the same bits for the same number of parts, as long as the machines do (processor, libraries; BLAS is held to one thread). Another number of parts, or a fit
-without parts, adds the same rows in another order, and differs by rounding.
+give the same bits for the same number of parts, as long as the machines do (processor, libraries; BLAS is held to one thread). Another number of parts, or a
+fit without parts, adds the same rows in another order, and differs by rounding.
 
-What travels: to a worker the model without rows (dictionary and scales, some kilobytes), names of files or the recordings themselves; back from it
-the solver's state, about four matrices of the size of K.
+What travels: to a worker, once, the model without rows (dictionary and scales, some kilobytes), names of files, datasets as xarray pickles them (a name
+or a graph, unless their numbers are in memory), or the recordings themselves; back from it, for each part, the solver's state, about four matrices of the
+size of K.
 """
 
 import copy
@@ -14,18 +15,12 @@ import itertools
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tras import koopman
+from tras import executors, koopman
+from tras.executors import SchedulerError
 from tras.leastsquares import StreamingLeastSquares
 from tras.pieces import without
-from tras.recording import versions
 
 _PARTS = 16
-_ATTEMPTS = 3  # a part whose worker dies more often than that is given up
-_PATIENCE = 5.0  # seconds to wait for a scheduler
-
-
-class SchedulerError(ValueError):
-    """The scheduler cannot be reached, its workers do not fit, or lose every part."""
 
 
 def absorb(model, stream, held, length, chunk, scheduler=None, parts=None, bar=None):
@@ -50,9 +45,12 @@ def absorb(model, stream, held, length, chunk, scheduler=None, parts=None, bar=N
     _prepare(model, stream, groups[0], held, length)
     borders = [k * len(groups) // parts for k in range(parts + 1)]
     empty = copy.deepcopy(model)  # tasks begin with it while what they found is merged here
-    tasks = [(empty, stream, groups[a:b], held, length) for a, b in itertools.pairwise(borders)]
-    run = {None: _here, "processes": _processes}.get(scheduler) or (lambda tasks: _dask(tasks, scheduler))
-    for (_, _, mine, *_), (state, edges) in zip(tasks, run(tasks)):
+    shares = [groups[a:b] for a, b in itertools.pairwise(borders)]
+    results = executors.run(absorb_part, [(share,) for share in shares], (empty, stream, held, length), scheduler=scheduler, ordered=True)
+    for k, result in results:
+        if isinstance(result, executors.Lost):
+            raise SchedulerError(f"part {k} of {parts} was lost: {result.reason}; use a smaller chunk.")
+        state, edges = result
         if state is not None:
             with _one_thread():
                 model._solver.merge(StreamingLeastSquares.from_state(state))
@@ -60,10 +58,10 @@ def absorb(model, stream, held, length, chunk, scheduler=None, parts=None, bar=N
             model.hull_.low, model.hull_.high = np.minimum(model.hull_.low, edges[0]), np.maximum(model.hull_.high, edges[1])
             model.hull_.settle()
         if bar is not None:
-            bar.update(sum(pairs for _, _, pairs in mine))
+            bar.update(sum(pairs for _, _, pairs in shares[k]))
 
 
-def absorb_part(model, stream, groups, held, length):
+def absorb_part(model, stream, held, length, groups):
     """What one worker does: (state of the solver or None, edges of the hull or None) of some chunks."""
     model = copy.deepcopy(model)
     with _one_thread():
@@ -104,72 +102,3 @@ def _prepare(model, stream, group, held, length):
 def _one_thread():
     """Sums depend on the number of BLAS threads, and workers have one."""
     return threadpool_limits(1, user_api="blas")
-
-
-# --------------------------------------------------------------------------------------------------------------- where it runs
-
-
-def _here(tasks):
-    return (absorb_part(*task) for task in tasks)
-
-
-def _processes(tasks):
-    """Local processes. A killed one breaks the pool: what is missing is done by a new one."""
-    import joblib
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
-
-    done = 0
-    for _ in range(_ATTEMPTS):
-        try:
-            parallel = joblib.Parallel(n_jobs=-1, return_as="generator", pre_dispatch="n_jobs", batch_size=1)
-            for result in parallel(joblib.delayed(absorb_part)(*task) for task in tasks[done:]):
-                done += 1
-                yield result
-            return
-        except TerminatedWorkerError:
-            continue
-    raise SchedulerError(f"the local processes were killed {_ATTEMPTS} times (out of memory?); use a smaller chunk, or scheduler=None.")
-
-
-def _dask(tasks, address):
-    """Workers of a Dask scheduler, which gives the tasks of a lost worker to another one."""
-    from distributed import Client
-    from distributed.scheduler import KilledWorker
-
-    try:
-        client = Client(address, timeout=_PATIENCE, set_as_default=False)
-    except (OSError, TimeoutError, ValueError, TypeError) as error:
-        raise SchedulerError(f"scheduler {address!r} cannot be reached within {_PATIENCE:g} s; start one (docs/scale.md), or give another address.") from error
-    with client:
-        _require_same_versions(client, address)
-        futures = [client.submit(absorb_part, *task, pure=False, retries=_ATTEMPTS) for task in tasks]
-        try:
-            for k, future in enumerate(futures):
-                yield future.result()
-                futures[k] = None  # the scheduler may forget it
-        except KilledWorker as error:
-            raise SchedulerError(f"scheduler {address!r} lost every worker that was given one part (out of memory?); use a smaller chunk.") from error
-        finally:
-            client.cancel([future for future in futures if future is not None])
-
-
-def _require_same_versions(client, address):
-    """The same package, NumPy and SciPy on each worker, and a worker at all."""
-    mine, found = versions(), {}
-    try:
-        client.wait_for_workers(1, timeout=_PATIENCE)
-    except (OSError, TimeoutError) as error:
-        raise SchedulerError(f"scheduler {address!r} has no worker; start some (docs/scale.md).") from error
-    found = client.run(_versions_here, on_error="return")
-    for worker, theirs in found.items():
-        if not isinstance(theirs, dict):
-            raise SchedulerError(f"worker {worker} cannot import tras ({theirs}); install environment.txt and this package there.")
-        for name, version in mine.items():
-            if theirs.get(name) != version:
-                raise SchedulerError(f"worker {worker} has {name} {theirs.get(name)} but {version} is needed; install environment.txt there.")
-
-
-def _versions_here():
-    from tras import recording
-
-    return recording.versions()

@@ -5,14 +5,13 @@ import json
 import math
 import os
 import sys
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from pathlib import Path
 
 import pandas as pd
-from joblib import Parallel, delayed
 from tqdm import tqdm
 
-from tras import cache, grid, readings, stacked, validation
+from tras import cache, executors, grid, readings, stacked, validation
 from tras.closed_loop import REFERENCE_NAMES
 from tras.grid import RANGES, SIMULATION
 from tras.plant import STATE_NAMES, TORQUE_NAMES
@@ -129,8 +128,11 @@ def _each(work, jobs, title, processes, progress):
     """Do all jobs, in processes, with a bar."""
     if not jobs:
         return
-    with tqdm(total=len(jobs), desc=title, file=progress, disable=progress is None) as bar:
-        for _ in Parallel(n_jobs=processes, return_as="generator_unordered")(delayed(work)(*job) for job in jobs):
+    results = executors.run(work, jobs, scheduler=None if processes == 1 else "processes", processes=processes)
+    with closing(results), tqdm(total=len(jobs), desc=title, file=progress, disable=progress is None) as bar:
+        for _, result in results:
+            if isinstance(result, executors.Lost):
+                raise executors.SchedulerError(f"a job of {title!r} was lost: {result.reason}; use fewer processes.")
             bar.update()
 
 

@@ -97,12 +97,20 @@ def _label(model):
 
 def _error(model, held, latest):
     """Multi-step error from the sample ``latest`` on, in half-ranges of the held-out states."""
+    return relative_error(*roll_outs(model, held, latest), np.ptp(held.states, axis=(0, 1)) / 2)
+
+
+def roll_outs(model, held, latest):
+    """States and predictions (trajectories, samples, n) from the sample ``latest`` on: the same instant for all models, however many delays they have."""
     first = latest - getattr(model, "delays", 0)
     late = Recording(
         held.states[:, first:], held.inputs[:, first:], held.dt,
         state_names=held.state_names, input_names=held.input_names, state_units=held.state_units, input_units=held.input_units,
     )  # fmt: skip
-    half_range = np.ptp(held.states, axis=(0, 1)) / 2
-    predicted = np.asarray(model.predict(late))[:, latest - first :] / half_range
-    true = Recording(late.states[:, latest - first :] / half_range, None, held.dt)
-    return multi_step_error(predicted.transpose(1, 2, 0), true, held.n)
+    return late.states[:, latest - first :], np.asarray(model.predict(late))[:, latest - first :]
+
+
+def relative_error(true, predicted, half_range):
+    """`tras.selection.multi_step_error` of `roll_outs`, in half-ranges of the states (n,)."""
+    scaled = Recording(true / half_range, None, 1.0)
+    return multi_step_error((predicted / half_range).transpose(1, 2, 0), scaled, true.shape[-1])

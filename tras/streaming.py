@@ -15,8 +15,8 @@ import numpy as np
 from tqdm import tqdm
 
 from tras import checkpoint as store
-from tras import distributed, koopman, scaling
-from tras.pieces import Piece, RecordingFile, Stream, UnreadableError, without
+from tras import distributed, executors, koopman, scaling
+from tras.pieces import Piece, RecordingFile, Stream, UnreadableError, is_dataset, without
 from tras.recording import Recording, join, whole_number
 from tras.selection import WINDOW
 
@@ -28,10 +28,10 @@ _TOGETHER = 2**16  # pairs that are scaled at once
 
 def needed(source):
     """Whether data are to be read in pieces: anything but a `Recording`, a list of them, or what is no data at all."""
-    if isinstance(source, (str, Path, RecordingFile)) or callable(source):
+    if isinstance(source, (str, Path, RecordingFile)) or is_dataset(source) or callable(source):
         return True
     if isinstance(source, (list, tuple)):
-        return any(isinstance(item, (str, Path, RecordingFile)) for item in source)
+        return any(isinstance(item, (str, Path, RecordingFile)) or is_dataset(item) for item in source)
     return hasattr(source, "__iter__") and not isinstance(source, Recording) and not hasattr(source, "__array__")
 
 
@@ -46,8 +46,9 @@ def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=Non
     Parameters
     ----------
     model : KoopmanModel
-    source : path, RecordingFile, Recording, an iterable of these, or a callable that returns such an iterable
-        A callable, or an iterable that is no iterator, begins anew each time and has to give the same data.
+    source : path, RecordingFile, xarray.Dataset, Recording, an iterable of these, or a callable that returns such an iterable
+        A dataset is one of a file that `Recording.write` has written, opened with or without ``chunks=``, and read in slices as a file is. A
+        callable, or an iterable that is no iterator, begins anew each time and has to give the same data.
     ranges : dict, optional
         Channel name -> (lowest, highest) in the channel's units, which become -1 and 1.
     checkpoint : path, optional
@@ -62,7 +63,7 @@ def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=Non
         Seconds.
     scheduler : {None, "processes"} or str, optional
         Who absorbs: this process, local processes, or the workers of the Dask scheduler at an address such as "tcp://host:8786". See
-        `tras.distributed.absorb`; not together with a checkpoint, and only for files and recordings.
+        `tras.distributed.absorb`; not together with a checkpoint, and only for files, datasets and recordings.
     parts : int, optional
         Number of parts that workers take. The same number gives the same bits, whoever does the work.
     threads : int, optional
@@ -307,19 +308,18 @@ def _head(pieces, pairs):
         if count >= pairs:
             break
     if not head:
-        raise ValueError("recording is empty; give a tras.Recording, the path of a file, or some of them.")
+        raise ValueError("recording is empty; give a tras.Recording, the path of a file, an xarray.Dataset, or some of them.")
     return head
 
 
 def _require_shareable(source, checkpoint, scheduler, parts):
     if hasattr(source, "__next__") or callable(source):
-        raise ValueError("recording is an iterator or a callable, which workers cannot share; give paths of files, or recordings.")
+        raise ValueError("recording is an iterator or a callable, which workers cannot share; give paths of files, datasets, or recordings.")
     if checkpoint is not None:
         raise ValueError("checkpoint is for a fit by one process; leave it out, or leave out scheduler and parts.")
     if parts is not None and whole_number("parts", parts) < 1:
         raise ValueError(f"parts = {parts}; give the number of parts of the data, 1 or more.")
-    if scheduler not in (None, "processes") and not (isinstance(scheduler, str) and "://" in scheduler):
-        raise ValueError(f"scheduler is {scheduler!r}; give None, 'processes', or an address such as 'tcp://host:8786'.")
+    executors.require_scheduler(scheduler)
 
 
 def _bar(what, pairs, progress):
