@@ -39,7 +39,7 @@ def trajectories(count, samples=SAMPLES, first=1):
     return tuple(np.concatenate(part)[:count] for part in zip(*parts))
 
 
-def functions(count):
+def functions(count, width=WIDTH):
     """What ``problem.json`` says of N functions, and their arrays: monomials where there are so many of a degree, Gaussians otherwise."""
     if count in DEGREES:
         dictionary = tras.Monomials(DEGREES[count]).fit(np.zeros((1, 4)), np.zeros((1, 2)))
@@ -47,10 +47,10 @@ def functions(count):
     if count <= HEAD:
         raise ValueError(f"functions is {count}; give one of {', '.join(map(str, DEGREES))} (monomials) or more than {HEAD} (Gaussians).")
     centres = np.random.default_rng(0).uniform(-1, 1, (count - HEAD, 6))
-    return {"kind": "gaussians", "width": WIDTH}, {"centres": centres}
+    return {"kind": "gaussians", "width": width}, {"centres": centres}
 
 
-def write(folder, pairs, count, runs=100, samples=600):
+def write(folder, pairs, count, runs=100, samples=600, width=WIDTH):
     """The problem of ``pairs`` snapshot pairs and ``count`` functions; returns its folder.
 
     Raises
@@ -61,8 +61,8 @@ def write(folder, pairs, count, runs=100, samples=600):
     each = SAMPLES - 1
     if pairs < each or pairs % each:
         raise ValueError(f"pairs is {pairs}; give a multiple of {each}, whole trajectories.")
-    about, arrays = functions(count)
-    folder = Path(folder) / f"{pairs}-{count}-{runs}"
+    about, arrays = functions(count, width)
+    folder = Path(folder) / f"{pairs}-{count}-{runs}-{width:g}"
     folder.mkdir(parents=True, exist_ok=True)
     states, inputs = trajectories(pairs // each)
     x0, u = trajectories(min(runs, 100), samples, LATER)
