@@ -26,7 +26,7 @@ def parser():
     p.add_argument("--functions", nargs="+", type=int, metavar="N", help=f"default {' '.join(map(str, FUNCTIONS))}")
     p.add_argument("--memory", type=float, default=6, metavar="GIB", help="limit of a child's resident memory, default 6")
     p.add_argument("--seconds", type=float, default=120, help="limit of a run, CPU seconds, default 120")
-    p.add_argument("--budget", type=float, default=60, help="CPU seconds for all runs of a measurement, default 60; at least one run")
+    p.add_argument("--budget", type=float, default=40, help="CPU seconds for all runs of a measurement, default 40; at least one run")
     p.add_argument("--runs", type=int, default=5, help="at most, default 5")
     p.add_argument("--growth", action="store_true", help="only our own cost against pairs, functions and trajectories")
     p.add_argument("--anew", action="store_true", help="forget what was measured before")

@@ -18,6 +18,9 @@ from tras import files
 ROOT = Path(__file__).resolve().parent.parent.parent
 THREADS = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")}
 BEYOND = 1e3  # half-ranges: a roll-out that leaves them is counted as diverged
+FITTED_ONLY = ("koopman_matrix", "floor")
+ROLLED_ONLY = ("one_step", "lifted_linear")  # their fits differ little from the others
+ROLLED_OUT = ("one_step", "vector_field", "lifted_linear")
 HOPELESS = ("out of memory", "over the time limit")
 
 Method = namedtuple("Method", "name adapter variant environment", defaults=("", None))
@@ -74,62 +77,79 @@ class Bench:
         self._references = {}
 
     def cached(self, key, measure):
-        """The row of this key if it was measured before, else measured and kept."""
+        """The rows of this key if they were measured before, else measured and kept."""
         path = self.folder / "measured" / f"{key}.json"
         if path.is_file():
             return json.loads(path.read_text())
-        row = measure() | {"measured": datetime.now().astimezone().isoformat(timespec="seconds")}
+        now = datetime.now().astimezone().isoformat(timespec="seconds")
+        rows = {what: row | {"measured": now} for what, row in measure().items()}
         with files.replacing(path) as temporary:
-            temporary.write_text(json.dumps(row))
-        return row
+            temporary.write_text(json.dumps(rows))
+        return rows
 
 
-def fit(bench, method, problem, with_exact=True):
-    """A row: times, memory and accuracy of a fit, as a ratio to ours in turn with it."""
-    row, runs, references = {"outcome": ""}, [], []
+def measured(bench, method, problem, with_exact=False, rolled=False, compared=True):
+    """Rows of a fit and, if ``rolled`` and if the method has one, of a roll-out with what was fitted: ``{"fit": row, "roll-out": row}``.
+
+    Parameters
+    ----------
+    problem : pathlib.Path
+        A folder, see `benchmarks/peers/problem.py`.
+    with_exact : bool
+        Compare the coefficients with extended precision.
+    compared : bool
+        In turn with ours (fit) and with the plain NumPy loop (roll-out), as ratios.
+    """
+    rows = {}
     try:
         with bench.child(method, problem) as child:
             ready = child.ask()
-            row |= {"version": ready["version"], "timed": ready["note"]}
-            count = 1
-            while len(runs) < count:
-                runs.append(child.ask({"do": "fit"}))
-                references.append(runs[-1] if method == OURS else bench.reference(OURS, problem).ask({"do": "fit"}))
-                if len(runs) == 1:
-                    count = rounds(runs[0]["cpu"] + (method != OURS) * references[0]["cpu"], bench.limits.budget, bench.limits.rounds)
-            found = bench.folder / "found.npy"
-            reply = child.ask({"do": "coefficients", "path": str(found)})
-            if "targets" in reply:
-                row["targets"] = reply["targets"]
-                if with_exact:
-                    row["error"] = exact.error(np.load(found), exact.coefficients(problem, bench.folder / "exact"))
-    except (Failed, RuntimeError) as failure:
-        row["outcome"] = str(failure)
-    return row | summary(runs, references)
-
-
-def roll_out(bench, method, problem, with_reference=True):
-    """A row: time of a roll-out after one fit, as a ratio to the plain NumPy loop in turn with it; None if the method has none."""
-    row, runs, references = {"outcome": ""}, [], []
-    try:
-        with bench.child(method, problem) as child:
-            ready = child.ask()
-            row |= {"version": ready["version"], "timed": ready["how"]}
-            child.ask({"do": "fit"})
-            count, path = 1, bench.folder / "rolled.npy"
-            while len(runs) < count:
-                runs.append(child.ask({"do": "roll_out", "path": str(path)}))
-                if "none" in runs[-1]:
-                    return {"outcome": "none"}
-                references.append(loop(bench, problem) if with_reference and method != GRAM else runs[-1])
-                if len(runs) == 1:
-                    count = rounds(runs[0]["cpu"] + references[0]["cpu"], bench.limits.budget, bench.limits.rounds)
-            states = np.load(path)
-            with np.errstate(invalid="ignore"):
-                row |= {"trajectories": len(states), "diverged": int((~(np.abs(states) <= BEYOND)).any(axis=(1, 2)).sum())}
+            rows["fit"] = {"version": ready["version"], "timed": ready["note"]}
+            reference = (lambda: bench.reference(OURS, problem).ask({"do": "fit"})) if compared and method != OURS else None
+            rows["fit"] |= in_turn(bench, lambda: child.ask({"do": "fit"}), reference)
+            if not rows["fit"]["outcome"]:
+                rows["fit"] |= accuracy(bench, child, problem, with_exact)
+                if rolled:
+                    path = bench.folder / "rolled.npy"
+                    reference = (lambda: loop(bench, problem)) if compared and method != GRAM else None
+                    row = in_turn(bench, lambda: child.ask({"do": "roll_out", "path": str(path)}), reference)
+                    rows["roll-out"] = {"version": ready["version"], "timed": ready["how"]} | row | ({} if row["outcome"] else fate(path))
     except Failed as failure:
-        row["outcome"] = str(failure)
-    return row | summary(runs, references)
+        rows.setdefault("fit", {"runs": 0})["outcome"] = str(failure)
+    return rows
+
+
+def in_turn(bench, run, reference):
+    """Run and reference in turn, as often as the budget allows; medians, and in ``outcome`` why there are none."""
+    runs, references, count = [], [], 1
+    try:
+        while len(runs) < count:
+            runs.append(run())
+            references.append(reference() if reference else runs[-1])
+            if len(runs) == 1:
+                count = rounds(runs[0]["cpu"] + (references[0]["cpu"] if reference else 0), bench.limits.budget, bench.limits.rounds)
+    except Failed as failure:
+        return {"outcome": str(failure)} | summary(runs[: len(references)], references)
+    return {"outcome": ""} | summary(runs, references)
+
+
+def accuracy(bench, child, problem, with_exact):
+    """Number of targets and error of the coefficients of what the child has fitted, as far as they can be had."""
+    path = bench.folder / "found.npy"
+    try:
+        reply = child.ask({"do": "coefficients", "path": str(path)})
+        if with_exact and "targets" in reply:
+            reply["error"] = exact.error(np.load(path), exact.coefficients(problem, bench.folder / "exact"))
+    except (Failed, RuntimeError) as failure:
+        return {"remark": str(failure)}
+    return {key: value for key, value in reply.items() if key != "none"}
+
+
+def fate(path):
+    """How many trajectories a roll-out has, and how many of them leave the data's range a thousandfold."""
+    states = np.load(path)
+    with np.errstate(invalid="ignore"):
+        return {"trajectories": len(states), "diverged": int((~(np.abs(states) <= BEYOND)).any(axis=(1, 2)).sum())}
 
 
 def loop(bench, problem):
@@ -178,20 +198,17 @@ def compare(bench, methods, cells, rolled, say, exact_up_to=50_000 * 1006):
         problem = data.write(bench.folder / "problems", pairs, functions)
         for method in methods:
             say(f"{method.name}, {pairs} pairs, {functions} functions")
-            about = {"method": method.name, "pairs": pairs, "functions": functions}
-            lock = ROOT / f"benchmarks/peers/{method.environment}.txt" if method.environment else None
-            for what, action in (("fit", fit), ("roll-out", roll_out)):
-                if what == "roll-out" and not (pairs == smallest and functions in rolled and method.variant != "floor"):
-                    continue
-                reason = bench.missing.get(method.environment) or hopeless(rows, method, pairs, functions)
-                if reason:
-                    rows.append(about | {"what": what, "outcome": reason, "runs": 0})
-                    continue
-                options = {"with_exact": pairs * functions <= exact_up_to} if what == "fit" else {}
-                key = f"{what}-{method.name.replace(', ', '-').replace(' ', '-')}-{pairs}-{functions}-{fingerprint(lock)}-{digest(bench.limits, options)}"
-                row = bench.cached(key, lambda action=action, method=method, options=options: action(bench, method, problem, **options))
-                if row["outcome"] != "none":
-                    rows.append(about | {"what": what} | row)
+            rolls = pairs == smallest and functions in rolled and method.variant not in FITTED_ONLY
+            if method.variant in ROLLED_ONLY and not rolls:
+                continue
+            reason = bench.missing.get(method.environment) or hopeless(rows, method, pairs, functions)
+            found = {"fit": {"outcome": reason, "runs": 0}}
+            if not reason:
+                options = {"with_exact": pairs * functions <= exact_up_to, "rolled": rolls}
+                lock = ROOT / f"benchmarks/peers/{method.environment}.txt" if method.environment else None
+                key = f"{method.name.replace(', ', '-').replace(' ', '-')}-{pairs}-{functions}-{fingerprint(lock)}-{digest(bench.limits, options)}"
+                found = bench.cached(key, lambda method=method, options=options: measured(bench, method, problem, **options))
+            rows += [{"what": what, "method": method.name, "pairs": pairs, "functions": functions} | row for what, row in found.items()]
         bench.forget_references()
     return rows
 
@@ -206,7 +223,6 @@ GROWTH = {
     "trajectories": [(50_000, 84, runs) for runs in (1, 4, 16, 64, 256, 1024, 4096)],
 }
 NARROW = 0.5  # width of the Gaussians here: 1600 wide ones are dependent to working precision
-ROLLED = ("one_step", "vector_field", "lifted_linear")
 
 
 def grow(bench, say, against=GROWTH):
@@ -217,16 +233,15 @@ def grow(bench, say, against=GROWTH):
         for pairs, functions, runs in cells:
             say(f"our cost against {variable}: {pairs} pairs, {functions} functions, {runs} trajectories")
             problem = None
-            for variant in ROLLED if variable == "trajectories" else ("koopman_matrix",):
+            for variant in ROLLED_OUT if variable == "trajectories" else ("koopman_matrix",):
                 key = f"growth-{variable}-{variant}-{pairs}-{functions}-{runs}-{fingerprint()}-{digest(bench.limits)}"
 
                 def measure(variant=variant, variable=variable):
                     nonlocal problem
                     problem = problem or data.write(bench.folder / "problems", pairs, functions, runs, width=NARROW)
-                    if variable == "trajectories":
-                        return roll_out(bench, variants[variant], problem, with_reference=False)
-                    return fit(bench, variants[variant], problem, with_exact=False)
+                    return measured(bench, variants[variant], problem, rolled=variable == "trajectories", compared=False)
 
-                row = {"against": variable, "variant": variant, "pairs": pairs, "functions": functions, "trajectories": runs}
-                rows.append(row | bench.cached(key, measure) | {"trajectories": runs})
+                found = bench.cached(key, measure)
+                row = found.get("roll-out" if variable == "trajectories" else "fit", found["fit"])
+                rows.append({"against": variable, "variant": variant} | row | {"pairs": pairs, "functions": functions, "trajectories": runs})
     return rows

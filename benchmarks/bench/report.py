@@ -104,21 +104,19 @@ def comparison(table):
     dates = sorted(table["measured"].dropna()) if "measured" in table else []
     parts = [f"Measured {_period(dates)} on {table['processor'].iloc[0]}, one thread."]
     for pairs, part in fits.groupby("pairs"):
-        parts.append(f"**Fit, {pairs:,} pairs**: CPU seconds of ours, all others as multiples of it.".replace(",", " ") + "\n\n" + _grid(part, _ratio))
-    most = fits["pairs"].max()
+        parts.append(f"**Fit, {_thousands(pairs)} pairs**: CPU seconds of ours, all others as multiples of it.\n\n" + _grid(part, _ratio))
     for pairs, part in fits.groupby("pairs"):
-        parts.append(f"**Memory of a fit, {pairs:,} pairs**: MiB at the peak, beyond what interpreter, libraries and the data take.".replace(",", " ") + "\n\n" + _grid(part, _memory))
-    some = fits[fits["error"].notna()] if "error" in fits else fits[:0]
-    if len(some):
-        for pairs, part in some.groupby("pairs"):
-            parts.append(f"**Error of the coefficients, {pairs:,} pairs**: largest, over the largest of its column, against extended precision.".replace(",", " ") + "\n\n" + _grid(part, _error))
+        head = f"**Memory of a fit, {_thousands(pairs)} pairs**: MiB at the peak, beyond what interpreter, libraries and the data take."
+        parts.append(f"{head}\n\n{_grid(part, _memory)}")
+    for pairs, part in fits[fits["error"].notna()].groupby("pairs") if "error" in fits else []:
+        head = f"**Error of the coefficients, {_thousands(pairs)} pairs**: largest, over the largest of its column, against extended precision."
+        parts.append(f"{head}\n\n{_grid(part, _error)}")
     if len(rolls):
         parts.append("**Roll-out**, 600 steps of 100 trajectories: CPU time as a multiple of the plain NumPy loop's.\n\n" + _roll_outs(rolls))
     notes = table[table["what"] == "fit"].drop_duplicates("method")
     rows = [[row["method"], row["version"], row["timed"]] for _, row in notes.iterrows() if isinstance(row.get("timed"), str)]
     if rows:
         parts.append("**What was timed**\n\n" + _markdown(["method", "version", "timed"], rows))
-    del most
     return parts
 
 
@@ -153,6 +151,10 @@ def _period(dates):
         return "at an unknown time"
     first, last = dates[0][:10], dates[-1][:10]
     return f"on {first}" if first == last else f"from {first} to {last}"
+
+
+def _thousands(count):
+    return f"{count:,}".replace(",", " ")
 
 
 def _grid(part, cell):

@@ -55,8 +55,8 @@ def features(problem, model, z):
 
 
 def matrix(problem, model):
-    if problem.variant == "lifted_linear":
-        return None  # of other functions
+    if problem.variant in ("lifted_linear", "default"):
+        return None  # of other functions; not the plain least squares
     return model[1] if isinstance(model, tuple) else model.koopman_matrix
 
 
