@@ -6,6 +6,7 @@
 """
 
 import argparse
+import shutil
 import sys
 
 import pandas as pd
@@ -30,6 +31,7 @@ def parser():
     p.add_argument("--runs", type=int, default=5, help="at most, default 5")
     p.add_argument("--growth", action="store_true", help="only our own cost against pairs, functions and trajectories")
     p.add_argument("--anew", action="store_true", help="forget what was measured before")
+    p.add_argument("--kept", action="store_true", help="measure nothing more: publish what was measured so far")
     p.add_argument("--report", action="store_true", help="measure nothing: figures and tables from benchmarks/results/ again")
     p.add_argument("--lock", nargs="+", metavar="PEER", help="resolve these peers' lock files anew (needs uv) and end")
     return p
@@ -65,6 +67,14 @@ def prepared(peers, bar):
     return pythons, missing
 
 
+class Kept(measure.Bench):
+    """Only what was measured before."""
+
+    def cached(self, key, measure):
+        known = (self.folder / "measured" / f"{key}.json").is_file()
+        return super().cached(key, measure) if known else {"fit": {"outcome": "not measured", "runs": 0}}
+
+
 def run(options):
     """Measure what the options ask for; tables of comparison and growth, one of them None if not asked for."""
     peers = PEERS if options.peers is None else options.peers
@@ -80,8 +90,8 @@ def run(options):
             bar.set_description(text)
             bar.update()
 
-        pythons, missing = prepared([] if options.growth else peers, bar)
-        bench = measure.Bench(FOLDER, limits, pythons, missing)
+        pythons, missing = prepared([] if options.growth or options.kept else peers, bar)
+        bench = (Kept if options.kept else measure.Bench)(FOLDER, limits, pythons, missing)
         try:
             compared = None if options.growth else pd.DataFrame(measure.compare(bench, methods, cells, rolled, say))
             grown = None if part else pd.DataFrame(measure.grow(bench, say))
@@ -105,6 +115,8 @@ def main(arguments=None):
         if not options.report:
             compared, grown, part = run(options)
             folder = FOLDER / "results" if part else report.RESULTS
+            if part:  # of this part alone
+                shutil.rmtree(folder, ignore_errors=True)
             report.write(folder, compared, grown)
             print(report.text(folder))
             if part:

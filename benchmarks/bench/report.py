@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from scipy import stats
+from scipy.special import stdtrit
 
 from tras import files
 
@@ -40,10 +40,12 @@ def exponent(x, y, level=0.95):
     kept = x >= x.max() / LAST * (1 - 1e-9) if len(x) else np.zeros(0, dtype=bool)
     if len(np.unique(x[kept])) < 2:
         raise ValueError(f"{kept.sum()} points in the last decade of x; give at least two different ones.")
-    line = stats.linregress(np.log(x[kept]), np.log(y[kept]))
-    points = int(kept.sum())
-    half = stats.t.ppf(0.5 + level / 2, points - 2) * line.stderr if points > 2 else np.nan
-    return {"exponent": line.slope, "low": line.slope - half, "high": line.slope + half, "points": points}
+    u, v, points = np.log(x[kept]), np.log(y[kept]), int(kept.sum())
+    u, v = u - u.mean(), v - v.mean()
+    slope = u @ v / (u @ u)
+    deviation = np.sqrt(np.sum((v - slope * u) ** 2) / (points - 2) / (u @ u)) if points > 2 else np.nan
+    half = stdtrit(points - 2, 0.5 + level / 2) * deviation if points > 2 else np.nan
+    return {"exponent": slope, "low": slope - half, "high": slope + half, "points": points}
 
 
 def exponents(grown):
@@ -180,7 +182,7 @@ def _failed(row):
 def _ratio(row):
     if _failed(row):
         return _failed(row)
-    few = f" ({int(row['runs'])} run{'s' * (row['runs'] > 1)})" if row["runs"] < 5 else ""
+    few = f" ({int(row['runs'])} run{'' if row['runs'] == 1 else 's'})" if row["runs"] < 5 else ""
     return (f"{row['cpu_s']:.3g} s" if row["method"] == "tras" else f"{row['cpu_ratio']:.3g}x") + few
 
 
@@ -198,7 +200,8 @@ def _roll_outs(rolls):
         diverged = "" if row["outcome"] or not row["diverged"] else f", {int(row['diverged'])} of {int(row['trajectories'])} diverge"
         time = [_failed(row), ""] if row["outcome"] else [f"{row['cpu_s']:.3g} s", f"{row['cpu_ratio']:.3g}x"]
         how = row["timed"] if isinstance(row["timed"], str) else ""
-        rows.append([row["method"], str(row["functions"]), *time, how + diverged])
+        because = f", {row['outcome']}" if _failed(row) == "failed" else ""
+        rows.append([row["method"], str(row["functions"]), *time, how + because + diverged])
     return _markdown(["method", "N", "CPU", "ratio", "how"], rows)
 
 
