@@ -209,6 +209,7 @@ def compared():
             rows.append({"what": "fit", "method": "tras", "pairs": pairs, "functions": count, "cpu_s": 0.25, "cpu_ratio": 1.0, "peak_mib": 12.4, "runs": 5, "error": 3e-16} | nothing)
             rows.append({"what": "fit", "method": "deeptime", "pairs": pairs, "functions": count, "cpu_s": 1.0, "cpu_ratio": 4.0, "peak_mib": 90.0, "runs": 2, "error": 2e-9} | nothing)
     rows[-1] |= {"outcome": "out of memory at 50000 pairs, 506 functions: not tried", "cpu_s": np.nan, "cpu_ratio": np.nan, "peak_mib": np.nan, "error": np.nan}
+    rows[-2] |= {"outcome": "ValueError: rank 3"}
     for method, ratio in (("tras, one step", 0.3), ("plain Gram", 1.0), ("deeptime", 2.0)):
         rows.append({"what": "roll-out", "method": method, "pairs": 50_000, "functions": 84, "cpu_s": ratio, "cpu_ratio": ratio, "peak_mib": 1.0, "runs": 5, "trajectories": 100, "diverged": 7 * (method == "deeptime")} | nothing)
     return pd.DataFrame(rows)
@@ -230,6 +231,7 @@ def test_tables_say_what_was_measured(compared, grown, tmp_path):
     text = report.text(tmp_path)
     assert report.processor() in text and "on 2026-01-02" in text
     assert "| tras | 0.25 s | 0.25 s |" in text and "| deeptime | 4x (2 runs) | out of memory |" in text
+    assert "| tras | 0.25 s | failed |" in text and "* tras, 500 000 pairs, N = 506: ValueError: rank 3" in text
     assert "| tras | 12 | 12 |" in text and "| deeptime | 2e-09 | 2e-09 |" in text
     assert "| deeptime | 84 | 2 s | 2x | lift + fit, 7 of 100 diverge |" in text
     assert "| fit time | pairs | koopman matrix | 1 | 1.00 |" in text and "| memory | pairs | koopman matrix | 0 | 0.00 |" in text

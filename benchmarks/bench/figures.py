@@ -102,6 +102,7 @@ def growth_figure(table, fitted):
             _theory(panel, part, against, column, fitted[(fitted["quantity"] == quantity) & (fitted["against"] == against)])
         panel.set(xscale="log", yscale="log", xlabel=name, ylabel=label)
         panel.legend(loc="best")
+        _plain(panel)
     low, high = axes[1, 0].get_ylim()
     axes[1, 0].set_ylim(min(low, 1.0), max(high, 100.0))  # not to blow up what is constant
     figure.supxlabel(_origin(table), fontsize=6.5)
@@ -128,8 +129,8 @@ def _lines(panel, part, column, label, title):
     panel.set(xscale="log", yscale="log", xlabel="functions N", ylabel=label, title=title)
     panel.xaxis.set_major_locator(FixedLocator(counts))
     panel.set_xticks(counts, [str(count) for count in counts])
-    panel.xaxis.set_minor_formatter(NullFormatter())
     panel.xaxis.set_minor_locator(FixedLocator([]))
+    _plain(panel)
 
 
 def _bars(panel, rows):
@@ -139,6 +140,14 @@ def _bars(panel, rows):
     panel.set_yticks(range(len(rows)), rows["method"], fontsize=6.5)
     count = f", N = {rows['functions'].iloc[0]}" if len(rows) else ""
     panel.set(xscale="log", xlabel="600 steps × 100 runs, CPU time [s]", title=f"roll-out{count}")
+    _plain(panel)
+
+
+def _plain(panel):
+    """Numbers at whole decades only, and markers that are not cut off at the ends."""
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_minor_formatter(NullFormatter())
+    panel.margins(x=0.05)
 
 
 def _origin(table):

@@ -220,7 +220,7 @@ def digest(*values):
 GROWTH = {
     "pairs": [(pairs, 84, 100) for pairs in (6_500, 12_500, 25_000, 50_000, 100_000, 200_000, 400_000, 800_000)],
     "functions": [(50_000, functions, 100) for functions in (27, 57, 107, 207, 407, 807, 1607)],
-    "trajectories": [(50_000, 84, runs) for runs in (1, 4, 16, 64, 256, 1024, 4096)],
+    "trajectories": [(50_000, 84, runs) for runs in (1, 4, 16, 64, 256, 512, 1024, 2048, 4096)],
 }
 NARROW = 0.5  # width of the Gaussians here: 1600 wide ones are dependent to working precision
 

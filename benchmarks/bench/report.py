@@ -115,6 +115,8 @@ def comparison(table):
         parts.append(f"{head}\n\n{_grid(part, _error)}")
     if len(rolls):
         parts.append("**Roll-out**, 600 steps of 100 trajectories: CPU time as a multiple of the plain NumPy loop's.\n\n" + _roll_outs(rolls))
+    failures = [f"* {row['method']}, {_thousands(row['pairs'])} pairs, N = {row['functions']}: {row['outcome']}" for _, row in fits.iterrows() if _failed(row) == "failed"]
+    parts += ["**What failed**\n\n" + "\n".join(failures)] if failures else []
     notes = table[table["what"] == "fit"].drop_duplicates("method")
     rows = [[row["method"], row["version"], row["timed"]] for _, row in notes.iterrows() if isinstance(row.get("timed"), str)]
     if rows:
@@ -173,6 +175,8 @@ def _grid(part, cell):
 def _failed(row):
     """Short words for a cell without a number."""
     outcome = row["outcome"]
+    if outcome == "not measured":
+        return "-"
     for word in ("out of memory", "over the time limit"):
         if outcome.startswith(word):
             return word.removeprefix("over the ")
