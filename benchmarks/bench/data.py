@@ -3,6 +3,7 @@
 The folder's form is told in `benchmarks/peers/problem.py`, which every environment reads it with.
 """
 
+import itertools
 import json
 import sys
 from pathlib import Path
@@ -16,7 +17,8 @@ sys.path.append(str(Path(__file__).resolve().parent.parent / "peers"))
 import problem as problems  # noqa: E402
 
 DEGREES = {7: 1, 28: 2, 84: 3, 210: 4, 462: 5, 924: 6}  # N of all monomials of four states and two inputs
-HEAD = 7  # constant, states, inputs
+CHANNELS = 6
+HEAD = 1 + CHANNELS  # constant, states, inputs
 WIDTH = 1.0  # of the Gaussians, half the range of a channel
 SAMPLES = 501  # of a trajectory
 PAIRS = 50_000  # of an experiment, 500 s
@@ -42,11 +44,12 @@ def trajectories(count, samples=SAMPLES, first=1):
 def functions(count, width=WIDTH):
     """What ``problem.json`` says of N functions, and their arrays: monomials where there are so many of a degree, Gaussians otherwise."""
     if count in DEGREES:
-        dictionary = tras.Monomials(DEGREES[count]).fit(np.zeros((1, 4)), np.zeros((1, 2)))
-        return {"kind": "monomials", "degree": DEGREES[count]}, {"exponents": dictionary._exponents}
+        words = [w for k in range(DEGREES[count] + 1) for w in itertools.combinations_with_replacement(range(CHANNELS), k)]
+        exponents = np.array([[word.count(i) for i in range(CHANNELS)] for word in words])
+        return {"kind": "monomials", "degree": DEGREES[count]}, {"exponents": exponents}
     if count <= HEAD:
         raise ValueError(f"functions is {count}; give one of {', '.join(map(str, DEGREES))} (monomials) or more than {HEAD} (Gaussians).")
-    centres = np.random.default_rng(0).uniform(-1, 1, (count - HEAD, 6))
+    centres = np.random.default_rng(0).uniform(-1, 1, (count - HEAD, CHANNELS))
     return {"kind": "gaussians", "width": width}, {"centres": centres}
 
 
@@ -70,7 +73,7 @@ def write(folder, pairs, count, runs=100, samples=600, width=WIDTH):
     arrays |= {"states": (states - middle[0]) / half[0], "inputs": (inputs - middle[1]) / half[1]}
     repeat = -(-runs // len(x0))
     arrays |= {"x0": np.tile((x0[:, 0] - middle[0]) / half[0], (repeat, 1))[:runs], "u": np.tile((u - middle[1]) / half[1], (repeat, 1, 1))[:runs]}
-    arrays["points"] = np.random.default_rng(1).uniform(-1, 1, (50, 6))
+    arrays["points"] = np.random.default_rng(1).uniform(-1, 1, (50, CHANNELS))
     about |= {"functions": count, "states": str(folder / "states.npy"), "inputs": str(folder / "inputs.npy")}
     for name, array in arrays.items():
         save(folder / f"{name}.npy", array)

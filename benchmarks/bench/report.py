@@ -115,7 +115,8 @@ def comparison(table):
         parts.append(f"{head}\n\n{_grid(part, _error)}")
     if len(rolls):
         parts.append("**Roll-out**, 600 steps of 100 trajectories: CPU time as a multiple of the plain NumPy loop's.\n\n" + _roll_outs(rolls))
-    failures = [f"* {row['method']}, {_thousands(row['pairs'])} pairs, N = {row['functions']}: {row['outcome']}" for _, row in fits.iterrows() if _failed(row) == "failed"]
+    failed = fits[[_failed(row) == "failed" for _, row in fits.iterrows()]]
+    failures = [f"* {row['method']}, {_thousands(row['pairs'])} pairs, N = {row['functions']}: {row['outcome']}" for _, row in failed.iterrows()]
     parts += ["**What failed**\n\n" + "\n".join(failures)] if failures else []
     notes = table[table["what"] == "fit"].drop_duplicates("method")
     rows = [[row["method"], row["version"], row["timed"]] for _, row in notes.iterrows() if isinstance(row.get("timed"), str)]
@@ -129,7 +130,8 @@ def growth_table(table):
     rows = []
     for _, row in table.iterrows():
         interval = "-" if np.isnan(row["low"]) else f"{row['low']:.2f} to {row['high']:.2f}"
-        rows.append([row["quantity"], row["against"], row["variant"].replace("_", " "), f"{row['theory']:g}", f"{row['exponent']:.2f}", interval, str(int(row["points"]))])
+        names = row["quantity"], row["against"], row["variant"].replace("_", " ")
+        rows.append([*names, f"{row['theory']:g}", f"{row['exponent']:.2f}", interval, int(row["points"])])
     return _markdown(["quantity", "against", "method", "theory", "fitted", "interval", "points"], rows)
 
 

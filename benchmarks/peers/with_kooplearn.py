@@ -25,10 +25,8 @@ def load(problem):
 
 
 def fit(problem, data):
-    monomials = problem.kind == "monomials"
-    lift = PolynomialFeatures(problem.degree) if monomials else FunctionTransformer(problems.lift, kw_args=None)
-    if not monomials:
-        lift.func = lambda z: problems.lift(problem, z)
+    own = PolynomialFeatures(problem.degree) if problem.kind == "monomials" else None
+    lift = own or FunctionTransformer(lambda z: problems.lift(problem, z))
     return make_pipeline(lift, Ridge(alpha=None, reduced_rank=False, lag_time=len(data) // 2)).fit(data)
 
 
