@@ -7,6 +7,7 @@
 
 import argparse
 import shutil
+import signal
 import sys
 
 import pandas as pd
@@ -17,7 +18,7 @@ from benchmarks.bench import environments, measure, report
 ROOT = measure.ROOT
 FOLDER = ROOT / "build" / "bench"
 PEERS = [method.name for method in measure.METHODS if method.environment]
-PAIRS, FUNCTIONS, ROLLED = [50_000, 500_000], [28, 84, 210, 506, 1006], [84]
+PAIRS, FUNCTIONS = [50_000, 500_000], [28, 84, 210, 506, 1006]
 
 
 def parser():
@@ -25,6 +26,7 @@ def parser():
     p.add_argument("--peers", nargs="*", metavar="PEER", help=f"of {', '.join(PEERS)}; none without names")
     p.add_argument("--pairs", nargs="+", type=int, metavar="M", help=f"snapshot pairs, default {' '.join(map(str, PAIRS))}")
     p.add_argument("--functions", nargs="+", type=int, metavar="N", help=f"default {' '.join(map(str, FUNCTIONS))}")
+    p.add_argument("--rolled", nargs="*", type=int, default=[84], metavar="N", help="functions with which to roll out, default 84; none without numbers")
     p.add_argument("--memory", type=float, default=6, metavar="GIB", help="limit of a child's resident memory, default 6")
     p.add_argument("--seconds", type=float, default=120, help="limit of a run, CPU seconds, default 120")
     p.add_argument("--budget", type=float, default=40, help="CPU seconds for all runs of a measurement, default 40; at least one run")
@@ -80,7 +82,6 @@ def run(options):
     peers = PEERS if options.peers is None else options.peers
     methods = [method for method in measure.METHODS if method.environment in (None, *peers)]
     cells = [(pairs, functions) for pairs in options.pairs or PAIRS for functions in options.functions or FUNCTIONS]
-    rolled = ROLLED if options.functions is None else options.functions
     part = any(value is not None for value in (options.peers, options.pairs, options.functions))
     limits = measure.Limits(options.memory * 2**30, options.seconds, options.budget, options.runs)
     steps = (0 if options.growth else len(cells) * len(methods)) + (0 if part else sum(map(len, measure.GROWTH.values())))
@@ -93,11 +94,16 @@ def run(options):
         pythons, missing = prepared([] if options.growth or options.kept else peers, bar)
         bench = (Kept if options.kept else measure.Bench)(FOLDER, limits, pythons, missing)
         try:
-            compared = None if options.growth else pd.DataFrame(measure.compare(bench, methods, cells, rolled, say))
+            compared = None if options.growth else pd.DataFrame(measure.compare(bench, methods, cells, options.rolled, say))
             grown = None if part else pd.DataFrame(measure.grow(bench, say))
         finally:
             bench.forget_references()
     return compared, grown, part or options.growth
+
+
+def interrupt(*_):
+    """Ended from outside is interrupted too: no child must be left without its limits."""
+    raise KeyboardInterrupt
 
 
 def main(arguments=None):
@@ -134,4 +140,6 @@ def main(arguments=None):
 
 
 if __name__ == "__main__":
+    for number in (signal.SIGINT, signal.SIGTERM):  # also where a shell's background job ignores the first
+        signal.signal(number, interrupt)
     sys.exit(main())
