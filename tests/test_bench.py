@@ -165,6 +165,15 @@ def test_ratios_are_of_runs_in_turn():
     assert (found["peak_mib"], found["cpu_least_s"], found["cpu_most_s"], found["runs"]) == (7.0, 1.0, 8.0, 3)
 
 
+def test_a_reference_that_fails_is_not_the_method_that_fails(tmp_path):
+    def fails():
+        raise Failed("out of memory")
+
+    bench, run = measure.Bench(tmp_path, measure.Limits(), {}, {}), {"cpu": 1.0, "wall": 1.0, "peak": 1}
+    assert measure.in_turn(bench, lambda: run, fails) == {"outcome": "no ratio, the reference failed: out of memory", "runs": 0}
+    assert measure.in_turn(bench, fails, lambda: run) == {"outcome": "out of memory", "runs": 0}
+
+
 def test_what_was_too_large_is_not_tried_larger():
     row = {"what": "fit", "method": "pydmd", "pairs": 50_000, "functions": 506, "outcome": "out of memory"}
     method = measure.Method("pydmd", "with_pydmd")

@@ -125,12 +125,20 @@ def in_turn(bench, run, reference):
     try:
         while len(runs) < count:
             runs.append(run())
-            references.append(reference() if reference else runs[-1])
+            references.append(_asked(reference) if reference else runs[-1])
             if len(runs) == 1:
                 count = rounds(runs[0]["cpu"] + (references[0]["cpu"] if reference else 0), bench.limits.budget, bench.limits.rounds)
     except Failed as failure:
         return {"outcome": str(failure)} | summary(runs[: len(references)], references)
     return {"outcome": ""} | summary(runs, references)
+
+
+def _asked(reference):
+    """A run of the reference, whose failure must not pass for the method's."""
+    try:
+        return reference()
+    except Failed as failure:
+        raise Failed(f"no ratio, the reference failed: {failure}") from failure
 
 
 def accuracy(bench, child, problem, with_exact):
