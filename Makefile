@@ -77,7 +77,7 @@ LOCKED := $(shell { sha256sum environment.txt || shasum -a 256 environment.txt; 
 READY := .venv/.ready-$(LOCKED)
 PY := .venv/bin/python
 
-.PHONY: help setup all stages paper figures report sweep smoke test verify bless lab lock readme clean distclean FORCE
+.PHONY: help setup all stages paper figures report sweep smoke test verify bless lab lock readme clean distclean bench FORCE
 
 help: ## list the targets (this text)
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
@@ -140,6 +140,9 @@ readme: $(READY) ## write the table into README.md, the errors into docs/paper.m
 	@$(PY) -m tras.claims data/claims.csv --readme README.md
 	@$(PY) -m tras.errata docs/paper.md
 	@$(PY) -m tras.readings docs/paper.md
+
+bench: $(READY) ## beside other packages: time, memory, accuracy; BENCH="--help" lists parts of it
+	@$(PY) -m benchmarks.bench $(BENCH)
 
 clean: ## remove build/ and the generated data (figures/ stays: it is in git)
 	rm -rf build
