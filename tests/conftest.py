@@ -20,10 +20,13 @@ def experiment(parameters):
 
 @pytest.fixture(scope="session")
 def cluster():
-    """Two workers of Dask, processes of one thread."""
+    """Two workers of Dask, processes of one thread. They ask a killed neighbour for its data for 5 s, not for 30."""
+    import dask
     from distributed import LocalCluster
 
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, processes=True) as cluster:
+    with dask.config.set({"distributed.comm.timeouts.connect": "5s"}):
+        cluster = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, processes=True)
+    with cluster:
         yield cluster
 
 
