@@ -328,6 +328,19 @@ def test_parquet_of_other_tools(tmp_path):
         R.read(tmp_path / "a.parquet", {"states": ["note"]})
 
 
+@pytest.mark.parametrize("metadata", [None, {b"trbs": b"{}"}])
+def test_a_parquet_of_ours_that_lost_its_description_is_refused(metadata, experiment, tmp_path):
+    """Its columns have plain names: guessed, it would be read with other units and nothing to check it by."""
+    experiment.write(tmp_path / "a.parquet")
+    table = pyarrow.parquet.read_table(tmp_path / "a.parquet").replace_schema_metadata(metadata)
+    pyarrow.parquet.write_table(table, tmp_path / "b.parquet")
+    for roles in (None, {"states": ["phi"], "time": "time", "trial": "trajectory"}):
+        with pytest.raises(tras.RecordingError, match="has lost its own description"):
+            R.read(tmp_path / "b.parquet", roles)
+    pandas.read_parquet(tmp_path / "a.parquet").to_parquet(tmp_path / "c.parquet")  # another tool's file by now
+    assert R.read(tmp_path / "c.parquet", {"states": ["phi"], "inputs": []}).state_names == ("phi",)
+
+
 def test_parquet_units_and_nested_columns(tmp_path):
     fields = [pyarrow.field(name, pyarrow.float64(), metadata={"unit": unit}) for name, unit in (("t", "ms"), ("q", "rad"))]
     table = pyarrow.table([[0.0, 5.0], [1.0, 2.0]], schema=pyarrow.schema(fields)).append_column("x", [[[1.0], [2.0, 3.0]]])
