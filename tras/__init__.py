@@ -38,6 +38,8 @@ _ROOMS = {
     "add_noise": "noise",
     "noise_level": "noise",
     "smooth": "smoothing",
+    "bootstrap": "ensemble",
+    "prediction_band": "ensemble",
     "refine": "refinement",
     "lumped_parameters": "physics",
     "parameter_intervals": "physics",
