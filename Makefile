@@ -77,7 +77,7 @@ LOCKED := $(shell { sha256sum environment.txt || shasum -a 256 environment.txt; 
 READY := .venv/.ready-$(LOCKED)
 PY := .venv/bin/python
 
-.PHONY: help setup all stages paper figures report smoke test verify bless lab lock readme clean distclean FORCE
+.PHONY: help setup all stages paper figures report identify example smoke test verify bless lab lock readme clean distclean FORCE
 
 help: ## list the targets (this text)
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
@@ -96,6 +96,20 @@ figures: $(BUILD)/04_figures.ipynb $(OUT_04) ## all figures, and what they need
 
 report: stages ## one page that tells it all and needs no network: build/paper/report.html
 	@$(PY) -m tras.report $(BUILD)/report.html --data $(DATA) --figures $(FIGURES) --build $(BUILD)
+
+# RECORDING=log.csv, and where names are not plain ROLES=roles.yaml or STATES=a,b INPUTS=c TIME=t TRIAL=run; also DT= RESAMPLE= PREDICTOR= DELAYS=
+# SMOOTHING= DRAWS= OUT= (docs/own_rig.md).
+IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL DT RESAMPLE PREDICTOR DELAYS SMOOTHING DRAWS
+quoted = '$(subst ','\'',$(1))'
+lower = $(shell printf %s "$(1)" | tr A-Z a-z)
+
+identify: $(READY) ## a model of your own system: make identify RECORDING=log.csv (docs/own_rig.md)
+	@$(if $(RECORDING),,echo "say which recording: make identify RECORDING=log.csv (make example writes one to try)" >&2; exit 2)
+	@$(PY) -m tras.identify_command $(call quoted,$(RECORDING)) $(foreach name,$(IDENTIFY),$(if $($(name)),--$(call lower,$(name))=$(call quoted,$($(name)))))
+
+example: $(READY) ## recordings of two simulated systems to try it on, in build/example/
+	@$(PY) -m tras.examples duffing build/example/duffing.csv
+	@$(PY) -m tras.examples cart_pole build/example/cart_pole.csv
 
 smoke: $(READY) ## the same stages, small, below build/smoke/
 	@$(MAKE) PROFILE=smoke stages

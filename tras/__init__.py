@@ -38,6 +38,7 @@ _ROOMS = {
     "add_noise": "noise",
     "noise_level": "noise",
     "smooth": "smoothing",
+    "identify": "identification",
     "bootstrap": "ensemble",
     "prediction_band": "ensemble",
     "refine": "refinement",
