@@ -34,7 +34,7 @@ def verdict(found):
     if not np.isfinite(ours).any():
         return f"The model is of no use: every test prediction over {horizon:.3g} s ran away."
     worst = found.test.state_names[int(np.nanargmax(ours))]
-    size = f"{np.nanmin(ours):.2g} % to {np.nanmax(ours):.2g} % of the range (most in {worst})" if len(ours) > 1 else f"{ours[0]:.2g} % of the range"
+    size = f"{np.nanmin(ours):.2g} % to {np.nanmax(ours):.2g} % of the ranges, most in {worst}" if len(ours) > 1 else f"{ours[0]:.2g} % of the range"
     ratio = float(np.exp(np.nanmean(np.log(np.maximum(ours, 1e-12) / np.maximum(linear, 1e-12)))))
     if found.model.dictionary.__class__.__name__ == "Monomials" and found.model.dictionary.degree == 1:
         beside = "No nonlinear model was better than a linear one"
@@ -44,7 +44,7 @@ def verdict(found):
         beside = "A linear model is about as good"
     else:
         beside = f"The error of a linear model is {1 / ratio:.3g} times as large"
-    return f"Test predictions over {horizon:.3g} s miss by {size} (root mean square). {beside}."
+    return f"Over {horizon:.3g} s the model misses the test data by {size}, root mean square. {beside}."
 
 
 def _verdict(found):

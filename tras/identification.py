@@ -175,4 +175,4 @@ def _eigenvalues(model, linear):
 
 
 def _paired(pairs):
-    return [f"{velocity} is taken for the velocity of {position}: their numbers fit" for position, velocity in pairs]
+    return [f"the velocity of {position} is {velocity}, by their numbers" for position, velocity in pairs]

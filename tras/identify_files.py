@@ -87,7 +87,9 @@ def _all(found, log, name, stage):
         ("report.html", "this page"), ("identify.ipynb", "the notebook that made it all, executed"), ("model.npz", "the model, for tras.load_model"), *exports,
         *((f"tables/{key}.csv", what) for key, what in _TABLES.items()), ("figures/", "every figure as PDF, SVG and PNG, and its numbers as CSV"),
     ]  # fmt: skip
-    (stage / "report.html").write_text(write_page(found, log, name, pictures, listed, failures), encoding="utf-8")
+    text = stage / "export" / "formulas.txt"
+    formulas = text.read_text(encoding="utf-8") if text.exists() else ""
+    (stage / "report.html").write_text(write_page(found, log, name, pictures, listed, failures, formulas), encoding="utf-8")
     listed = pd.DataFrame(listed, columns=["file", "what"])
     files = sorted(path.relative_to(stage).as_posix() for path in stage.rglob("*") if path.is_file())
     pd.DataFrame({"file": [*files, LISTING]}).to_csv(stage / LISTING, index=False, lineterminator="\n")

@@ -3,16 +3,18 @@
 import math
 
 import numpy as np
+import pandas as pd
 
 from tras import advice, page, summary
 from tras.formats import remarks
+from tras.identify_search import label
 from tras.source import said
 
 _WEIGHTS = {"stop": ("✗", "not", "do not use it so"), "warning": ("!", "named", "warning"), "note": ("i", "uncheckable", "note")}
 _ROWS = 40  # of a table on the page; the files have all
 
 
-def write_page(found, log, name, figures, exports, failures):
+def write_page(found, log, name, figures, exports, failures, formulas=""):
     """The page as text.
 
     Parameters
@@ -28,6 +30,8 @@ def write_page(found, log, name, figures, exports, failures):
         Files of the folder, and what they are.
     failures : list of str
         What could not be exported, a sentence each.
+    formulas : str
+        The model as text; shown if it is short.
     """
     contents, parts = [], []
     convert = page.converter(lambda text: text, lambda kind, spec: "", contents)
@@ -53,7 +57,7 @@ def write_page(found, log, name, figures, exports, failures):
     put("## How well it predicts", text(_test_text(found)), _metrics(found))
     parts.append(picture("predictions", "Measured and predicted states over two test windows", _prediction_caption(found)))
     parts.append(picture("growth", "Error against time ahead", "Root mean square error of all states over the test windows, each in percent of the state's range, against how far ahead is predicted."))
-    put("## The operator", f"<pre>{page.escape(summary.describe(found.model))}</pre>\n")
+    put("## The operator", f"<pre>{page.escape(summary.describe(found.model))}</pre>\n", _formulas(formulas))
     parts.append(picture("spectrum", "Eigenvalues with the unit circle", "Eigenvalues of the Koopman matrices and the unit circle; on the right the neighbourhood of one. One exactly belongs to "
                          "the constant and to functions of inputs alone, which are held over a sample."))  # fmt: skip
     put("## Files", _files(exports), _list(failures), _use(found))
@@ -71,10 +75,11 @@ def _plain(name):
 def _chosen(found):
     model = found.model
     dictionary = " ".join(repr(model.dictionary).split())
+    words = label(model.dictionary, model.state_names_)
     delays = f", {model.delays} delay{'s' if model.delays != 1 else ''}" if model.delays else ""
     treated = {"smoothed": "smoothed states", "as measured": "states as measured"}[found.said["treatment"]]
     return (
-        f"<p>The model: predictor <code>{page.escape(model.predictor)}</code>, dictionary <code>{page.escape(dictionary)}</code> ({len(model.names_)} functions){delays}, fitted to "
+        f"<p>The model: {page.escape(words)} (<code>{page.escape(dictionary)}</code>, {len(model.names_)} functions){delays}, predictor <code>{page.escape(model.predictor)}</code>, fitted to "
         f"{model.pairs_} snapshot pairs of {treated}.</p>\n"
     )
 
@@ -150,7 +155,7 @@ def _candidates(found):
         error = f"{row['error']:.4g}" if math.isfinite(row["error"]) else "–"
         functions = f"{row['functions']:.0f}" if math.isfinite(row["functions"]) else "–"
         strength = f"{row['strength']:g}" if math.isfinite(row["strength"]) else "–"
-        rows.append([f"<code>{page.escape(row['dictionary'])}</code>", page.escape(row["predictor"]), str(row["delays"]), page.escape(row["states"]), functions, strength, error, mark])
+        rows.append([page.escape(label(row["model"].dictionary, found.recording.state_names)), page.escape(row["predictor"]), str(row["delays"]), page.escape(row["states"]), functions, strength, error, mark])
     more = f" The best {_ROWS} of {len(found.search)}; all are in tables/search.csv." if len(found.search) > _ROWS else ""
     head = ["dictionary", "predictor", "delays", "states", "functions", "strength", "error (half-ranges)", ""]
     return page.table(head, rows, f"Candidates, the least error first.{more}", kind="short")
@@ -166,7 +171,8 @@ def _test_text(found):
 
 def _metrics(found):
     rows = []
-    for _, row in found.metrics.iterrows():
+    table = pd.concat([found.metrics[found.metrics["state"] == state] for state in found.test.state_names])
+    for _, row in table.iterrows():
         values = [row["one_step"], row["nrmse"], row["bfr"], row["enr"]]
         shown = [f"{value:.{digits}g}" if np.isfinite(value) else "–" for value, digits in zip(values, (3, 3, 4, 3))]
         rows.append([page.escape(row["state"]), page.escape(row["prediction"]), *shown, f"{row['diverged']} of {row['windows']}"])
@@ -180,6 +186,12 @@ def _prediction_caption(found):
     )  # fmt: skip
     more = " Six states are shown, all are in tables/predictions.csv." if found.recording.n > 6 else ""
     return f"Two test windows: the one with the median error, and the worst. {band}{more}"
+
+
+def _formulas(formulas):
+    if not formulas or len(formulas) > 4000:
+        return ""
+    return f"<p>As formulas, without terms that change a row by less than 1 %:</p>\n<pre>{page.escape(formulas.strip())}</pre>\n"
 
 
 def _files(exports):

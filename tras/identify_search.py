@@ -160,6 +160,18 @@ def _best(table):
     return close.sort_values(["functions", "error"], kind="stable").iloc[0]
 
 
+def label(dictionary, names=()):
+    """A dictionary in a few words, its positions by the states' names."""
+    if isinstance(dictionary, Monomials):
+        return "linear" if dictionary.degree == 1 else f"monomials, degree {dictionary.degree}"
+    if isinstance(dictionary, GaussianRBF):
+        return f"{dictionary.n_centres} Gaussians"
+    if isinstance(dictionary, Mechanical):
+        shape = ", ".join(names[i] if i < len(names) else str(i) for i in dictionary.shape or [0])
+        return f"mechanical, degree {dictionary.degree} in {shape}"
+    return " ".join(repr(dictionary).split())
+
+
 def _two(train, delays, predictor):
     """A linear and a nonlinear dictionary: cubic monomials while they are few, else Gaussians."""
     cubic = _monomials(train, delays, predictor, 3)
