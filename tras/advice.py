@@ -9,8 +9,6 @@ from tras.datachecks import beyond
 from tras.identify_scores import CONSTANT
 from tras.noise import noise_level
 
-_FULL_TURNS = (360.0, 2 * math.pi)
-
 
 class Advice(NamedTuple):
     """``weight`` is "stop" (do not use the model as it is), "warning" or "note"; ``about`` a few words, ``text`` a sentence or two."""
@@ -53,7 +51,7 @@ def _verdict(found):
         row, constant = table.loc[("model", state)], table.loc[(CONSTANT, state)]
         if not row["nrmse"] < constant["nrmse"]:
             yield Advice("stop", f"{state} is not predicted", f"Over the test windows {state} is missed by {row['nrmse']:.3g} % of its range; its mean alone misses it by "
-                         f"{constant['nrmse']:.3g} %. Do not use the model for it.")  # fmt: skip
+                         f"{constant['nrmse']:.3g} %. Do not use the model for it; if nothing here can move it, leave it out (STATES=...), for it disturbs the choice of the model for the others.")  # fmt: skip
     row = table.loc["model"].iloc[0]
     if row["diverged"]:
         weight = "stop" if row["diverged"] > 0.1 * row["windows"] else "warning"
@@ -76,13 +74,14 @@ def _data(found, log):
             yield Advice("note" if row["role"] == "input" else "warning", f"{name} has few values", text)
         elif row["step"] > 0.005 * (row["highest"] - row["lowest"]):
             yield Advice("note", f"{name} is coarse", f"{name} moves in steps of {row['step']:.3g}, {100 * row['step'] / (row['highest'] - row['lowest']):.2g} % of its range.")
+        if row["wraps"] and row["role"] == "state":
+            yield Advice("stop", f"{name} jumps by a full turn", f"{name} jumps by a full turn {row['wraps']} times: an angle that wraps round. No model can follow that; unwrap it first (numpy.unwrap, MATLAB's "
+                         "unwrap).")  # fmt: skip
+            continue
         if row["noise"] > 0.02:
             yield Advice("warning", f"{name} is noisy", f"The noise on {name} is {100 * row['noise']:.2g} % of its range (what moves within four samples is counted as noise). "
                          "Noise on the states biases the fit; a better sensor or slower sampling helps more than any model.")  # fmt: skip
-        turn = [each for each in _FULL_TURNS if abs(row["jump"] * (row["highest"] - row["lowest"]) - each) < 0.1 * each]
-        if row["role"] == "state" and turn and row["jump"] > 0.5 and row["usual"] < 0.3:
-            yield Advice("stop", f"{name} jumps by a full turn", f"{name} jumps by {turn[0]:.4g} between two samples: an angle that wraps round. Unwrap it first (numpy.unwrap, MATLAB's unwrap).")
-        elif row["role"] == "state" and row["jump"] > 0.3 and row["jump"] > 5 * row["usual"]:
+        if row["role"] == "state" and row["jump"] > 0.3 and row["jump"] > 5 * row["usual"]:
             yield Advice("warning", f"{name} jumps", f"{name} changes by {100 * row['jump']:.0f} % of its range within one sample, but by less than {100 * row['usual']:.2g} % in 99 of 100: an outlier, "
                          "or a trial that begins without a column that says so.")  # fmt: skip
         if row["shift"] > 1 and row["role"] == "state":

@@ -64,7 +64,7 @@ def channels(recording):
         ``channel, role, unit, lowest, highest, mean, deviation``; ``levels``, the number of different values, and ``step``, the usual distance
         between neighbouring ones (0 if there are too many to be levels); ``at_lowest, at_highest``, the share of samples that stand at a limit (0
         where an extreme is just an extreme); ``noise``, a fraction of the range (NaN for inputs); ``jump``, the largest change over a sample as a
-        fraction of the range, and ``usual``, the 99th percentile of the same; ``shift``, the difference of the means of first and second half in deviations.
+        fraction of the range, and ``usual``, the 99th percentile of the same; ``wraps``, how often it jumps by a full turn (360 or 2 pi); ``shift``, the difference of the means of first and second half in deviations.
     """
     level = noise_level(recording) if recording.lengths.max() >= 4 else np.full(recording.n, np.nan)
     x, u = (np.concatenate(part) for part in zip(*recording))
@@ -85,6 +85,7 @@ def channels(recording):
             "at_lowest": _at_limit(-values, -found[::-1]), "at_highest": _at_limit(values, found),
             "noise": level[i] / span if i < recording.n else np.nan,
             "jump": changes.max(initial=0.0), "usual": float(np.quantile(changes, 0.99)) if len(changes) else 0.0,
+            "wraps": _wraps(changes * span),
             "shift": abs(values[:half].mean() - values[half:].mean()) / (values.std() or 1.0) if half else 0.0,
         })  # fmt: skip
     return pd.DataFrame(rows)
@@ -166,6 +167,15 @@ def _at_limit(values, found):
         return 0.0
     near = (values < found[-1]) & (values >= min(found[-2], found[-1] - 0.01 * (found[-1] - found[0])))
     return float(share) if share > 5 * near.mean() else 0.0
+
+
+def _wraps(changes):
+    """How many of the changes over a sample are full turns, in degrees or radians, if the others are much smaller; 0 if they are not."""
+    for turn in (360.0, 2 * np.pi):
+        whole = np.abs(changes - turn) < 0.25 * turn
+        if whole.any() and changes[~whole].max(initial=0.0) < 0.3 * turn and changes.max() < 1.001 * turn:
+            return int(whole.sum())
+    return 0
 
 
 def _rank(channels):

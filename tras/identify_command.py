@@ -37,7 +37,7 @@ def main(arguments=None):
         return 2
     except RunError as error:
         plain = error.name in _SENTENCES
-        print(error.words if plain else error, file=sys.stderr)
+        print(error.words + _hint(error.words) if plain else error, file=sys.stderr)
         return 2 if plain else 1
     except OSError as error:
         print(f"{error.filename}: {error.strerror}" if error.filename else error, file=sys.stderr)
@@ -49,8 +49,23 @@ def main(arguments=None):
     return 0
 
 
+class _Parser(argparse.ArgumentParser):
+    def error(self, message):
+        """One sentence instead of the whole usage."""
+        self.exit(2, f"{message}; see python -m tras.identify_command --help.\n")
+
+
+def _hint(words):
+    """How to say with make what the sentence asks for."""
+    if "resample=" in words:
+        return " With make: RESAMPLE=, for example RESAMPLE=0.01."
+    if "given as roles" in words:
+        return "\nWith make: ROLES=roles.yaml, or by name: TIME=t STATES=a,b INPUTS=c TRIAL=run."
+    return ""
+
+
 def _parser():
-    parser = argparse.ArgumentParser(prog="python -m tras.identify_command", description="Identify a system from a recording.")
+    parser = _Parser(prog="python -m tras.identify_command", description="Identify a system from a recording.")
     add = parser.add_argument
     add("recording", type=Path, help="a .csv, .parquet, .mat or .nc file")
     add("--out", type=Path, help="folder of the results (default: build/identify/NAME)")

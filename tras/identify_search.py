@@ -22,7 +22,7 @@ from tras.selection import hold_out, multi_step_error
 SEARCHED = 20_000  # snapshot pairs that the search looks at, at most
 DELAYS = (0, 1, 2, 4, 8)  # tried if not told otherwise
 _CHANNELS = 60  # with delays, at most
-_CLOSE = 1.03  # errors within three percent count as equal: then fewer functions win
+_CLOSE = 1.1  # errors within ten percent count as equal: then fewer functions win
 
 
 class Treated(NamedTuple):
