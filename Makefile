@@ -118,7 +118,8 @@ test: $(READY) ## unit tests, then every notebook of the small profile rerun and
 	@status=0; \
 	MPLBACKEND=Agg $(PY) -m pytest || status=1; \
 	$(MAKE) PROFILE=smoke stages \
-	  && $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) || status=1; \
+	  && $(MAKE) example && $(MAKE) identify RECORDING=build/example/duffing.csv OUT=build/smoke/identify \
+	  && $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) build/smoke/identify/identify.ipynb || status=1; \
 	exit $$status
 
 lab: $(READY) ## open the notebooks in JupyterLab

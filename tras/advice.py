@@ -61,7 +61,7 @@ def _verdict(found):
 def _data(found, log):
     channels = found.checks.channels
     for text in found.said["idle"]:
-        yield Advice("warning", "a channel that says nothing", f"{_capital(text)}.")
+        yield Advice("warning", "a channel that says nothing", f"{text}.")
     for _, row in channels.iterrows():
         name = row["channel"]
         share = max(row["at_lowest"], row["at_highest"])
@@ -143,6 +143,3 @@ def _reach(found):
         if share > 0.01:
             yield Advice("warning", f"{name} beyond the training data", f"{100 * share:.2g} % of the test's samples of {name} are outside the range of the training data, where the model is a guess.")
 
-
-def _capital(text):
-    return text[:1].upper() + text[1:]

@@ -3,6 +3,7 @@
 import numpy as np
 
 from tras.figures import LINEAR, MODEL, TRUTH, new_figure, require, styled
+from tras.identify_scores import CONSTANT, HELD
 
 MOST = 6  # panels; more channels are in the tables only
 _BAND = {"color": "#0072B2", "alpha": 0.25, "linewidth": 0}
@@ -109,13 +110,12 @@ def growth_figure(table):
     require(table, "table", ["time"])
     figure, panel = new_figure(height=2.3)
     every = max(1, len(table) // _POINTS)
-    styles = {"model": MODEL, "linear model": LINEAR}
-    others = iter([{"color": "#009E73", "linestyle": "-."}, {"color": "0.45", "linestyle": "--", "linewidth": 0.8}, {"color": "0.65", "linestyle": "-", "linewidth": 0.8}])
+    styles = {"model": MODEL, "linear model": LINEAR, "model, started as measured": {"color": "#009E73", "linestyle": "-."},
+              HELD: {"color": "0.45", "linestyle": "--", "linewidth": 0.8}, CONSTANT: {"color": "0.65", "linestyle": "-", "linewidth": 0.8}}  # fmt: skip
     for name in table.columns[1:]:
-        style = styles.get(name) or next(others)
         if table[name].notna().any():
-            panel.semilogy(table["time"][::every], np.maximum(table[name][::every], 1e-9), label=name, **style)
-    panel.set(xlabel="time ahead (s)", ylabel="root mean square error (% of range)")
+            panel.semilogy(table["time"][::every], np.maximum(table[name][::every], 1e-9), label=name, **styles[name])
+    panel.set(xlabel="time ahead (s)", ylabel="error (% of range)")
     panel.yaxis.set_major_formatter("{x:g}")
     figure.legend(loc="outside lower center", ncols=2, columnspacing=1.2)
     return figure

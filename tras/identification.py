@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from sklearn.base import clone
+from threadpoolctl import ThreadpoolController
 
 from tras import advice, datachecks, preparation
 from tras.ensemble import bootstrap, prediction_band
@@ -77,7 +78,11 @@ def identify(recording, *, predictor=None, delays=None, smoothing=None, draws=30
     >>> found.model.dictionary
     Monomials(degree=3)
     """
-    log = join(recording)
+    with ThreadpoolController().limit(limits=1, user_api="blas"):  # small matrices: threads wait for each other; and the same bits everywhere
+        return _identify(join(recording), predictor, delays, smoothing, draws, seed)
+
+
+def _identify(log, predictor, delays, smoothing, draws, seed):
     used, idle = preparation.without_idle_channels(log)
     whole, test, parted = preparation.partition(used)
     samples, length = preparation.piece_length(whole)

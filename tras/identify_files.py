@@ -118,7 +118,9 @@ def _tables(found):
 def _figures(found, folder):
     """Key -> the picture of it that a page shows best."""
     used, model = found.recording, found.model
-    drawn = {"data": (figures_identify.data_figure, (_curves(used), [*used.state_names, *used.input_names], [*used.state_units, *used.input_units]))}
+    states = max(figures_identify.MOST // 2, figures_identify.MOST - used.m)  # so that inputs are seen too
+    names, units = ([*of_states[:states], *of_inputs] for of_states, of_inputs in ((used.state_names, used.input_names), (used.state_units, used.input_units)))
+    drawn = {"data": (figures_identify.data_figure, (_curves(used), names, units))}
     if len(found.checks.spectrum):
         drawn["spectra"] = (figures_identify.spectra_figure, (found.checks.spectrum, list(used.state_names), list(used.input_names)))
     drawn |= {

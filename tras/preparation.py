@@ -58,10 +58,11 @@ def velocity_pairs(recording):
 
     The slope must be one within 5 %, so the velocity's unit is the position's per second.
     """
-    stretches = [x for x, _ in recording if len(x) >= 12]
+    span = int(np.clip(memory(recording) // 3, 10, max(10, int(recording.lengths.max()) // 4)))  # long against noise, short against the motion
+    stretches = [x for x, _ in recording if len(x) > span + 1]
     if not stretches or recording.n < 2:
         return []
-    span, keep = 10, max(1, sum(map(len, stretches)) // 50_000)
+    keep = max(1, sum(map(len, stretches)) // 50_000)
     risen, integral = [], []
     for x in stretches:
         area = np.cumsum((x[1:] + x[:-1]) / 2, axis=0) * recording.dt
