@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from sklearn.base import clone
-from threadpoolctl import ThreadpoolController
+from threadpoolctl import threadpool_limits
 
 from tras import advice, datachecks, preparation
 from tras.ensemble import bootstrap, prediction_band
@@ -78,7 +78,7 @@ def identify(recording, *, predictor=None, delays=None, smoothing=None, draws=30
     >>> found.model.dictionary
     Monomials(degree=3)
     """
-    with ThreadpoolController().limit(limits=1, user_api="blas"):  # small matrices: threads wait for each other; and the same bits everywhere
+    with threadpool_limits(1, user_api="blas"):  # small matrices: threads wait for each other; and the same bits everywhere
         return _identify(join(recording), predictor, delays, smoothing, draws, seed)
 
 
