@@ -40,6 +40,7 @@ def checkout(tmp_path_factory):
 
 
 def make(folder, *arguments):
+    """`make identify` with these arguments."""
     environment = {key: value for key, value in os.environ.items() if not key.startswith(("MAKE", "MFLAGS"))}
     return subprocess.run(["make", "identify", *arguments], cwd=folder, env=environment, capture_output=True, text=True)
 

@@ -49,7 +49,7 @@ def _verdict(found):
     table = found.metrics.set_index(["prediction", "state"])
     for state in found.test.state_names:
         row, constant = table.loc[("model", state)], table.loc[(CONSTANT, state)]
-        if not row["nrmse"] < constant["nrmse"]:
+        if not row["nrmse"] < 0.95 * constant["nrmse"]:
             yield Advice("stop", f"{state} is not predicted", f"Over the test windows {state} is missed by {row['nrmse']:.3g} % of its range; its mean alone misses it by "
                          f"{constant['nrmse']:.3g} %. Do not use the model for it; if nothing here can move it, leave it out (STATES=...), for it disturbs the choice of the model for the others.")  # fmt: skip
     row = table.loc["model"].iloc[0]

@@ -74,7 +74,7 @@ def example(name, trials=8, duration=25.0, *, seed=0, noise=1.0):
         raise ValueError(f"name is {name!r}; choose one of {', '.join(SYSTEMS)}.")
     field, states, inputs, dt, fastest, peak, deviations = SYSTEMS[name]
     rng = np.random.default_rng(seed)
-    u = np.stack([multisine(duration, dt, [fastest], [peak], rng) for _ in range(trials)])
+    u = np.stack([multisine(duration, dt, [fastest], [peak], rng, draws=20) for _ in range(trials)])
     x = rollout.roll_out(lambda z, v: rollout.runge_kutta(field, z, v, dt, _SUBSTEPS), np.zeros((len(states), trials)), u.transpose(1, 2, 0))
     x = x.transpose(2, 0, 1)
     if noise:

@@ -62,8 +62,8 @@ def growth(runs, truth, latest):
     table = {"time": np.arange(1, longest) * truth.dt}
     for name, run in runs.items():
         lost = metrics.diverged(true, run)
-        errors = [((run[k] - true[k]) / span)[1:] for k in full if not lost[k]]
-        table[name] = 100 * np.sqrt(np.nanmean(np.square(errors), axis=(0, 2))) if errors else np.full(longest - 1, np.nan)
+        errors = [((run[k] - true[k]) / span)[1:, np.isfinite(span)] for k in full if not lost[k]]
+        table[name] = 100 * np.sqrt(np.mean(np.square(errors), axis=(0, 2))) if errors else np.full(longest - 1, np.nan)
     return pd.DataFrame(table)
 
 
@@ -73,7 +73,8 @@ def typical_and_worst(run, truth, latest):
     longest = max(map(len, true))
     full = [k for k, x in enumerate(true) if len(x) == longest]
     span = _moving(np.ptp(np.concatenate(true), axis=0))
-    error = np.array([np.nan_to_num(np.sqrt(np.nanmean(((run[k] - true[k]) / span) ** 2)), nan=np.inf) for k in full])
+    moving = np.isfinite(span)
+    error = np.array([np.nan_to_num(np.mean(((run[k] - true[k]) / span)[:, moving] ** 2), nan=np.inf) for k in full])
     order = np.argsort(error, kind="stable")
     return full[order[(len(order) - 1) // 2]], full[order[-1]]
 
