@@ -533,6 +533,21 @@ def test_claims_of_size_are_refused_before_room_is_made(tmp_path):
         R.read(tmp_path / "c.mat")
 
 
+def test_tables_that_announce_absurd_sizes_are_refused_before_room_is_made(tmp_path):
+    """Both files are small: HDF5 leaves out chunks that nobody wrote, and Parquet counts equal values."""
+    recording = R([np.zeros((4, 1))], None, 0.1)
+    recording.write(tmp_path / "a.nc")
+    with h5py.File(tmp_path / "a.nc", "a") as file:
+        file.create_dataset("huge", (10**12,), "f8", chunks=(1000,)).make_scale("huge")
+    with pytest.raises(tras.RecordingError, match=r"\d{13} values; up to 100000000 are read"):
+        R.read(tmp_path / "a.nc")
+    nulls = pyarrow.table({name: pyarrow.nulls(3 * 10**7) for name in ("t", "q", "u", "v")})
+    pyarrow.parquet.write_table(nulls, tmp_path / "a.parquet")
+    assert (tmp_path / "a.parquet").stat().st_size < 10**5
+    with pytest.raises(tras.RecordingError, match="30000000 rows of 4 columns; up to 100000000 values are read"):
+        R.read(tmp_path / "a.parquet")
+
+
 # --- damage ------------------------------------------------------------------------------------------------------------------------
 
 
