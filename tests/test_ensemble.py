@@ -33,7 +33,7 @@ def test_coverage_is_what_was_asked_for():
     inside = {0.5: [], 0.9: []}
     for seed in range(40):
         recording = noisy(seed)
-        ensemble = tras.bootstrap(fitted(recording), recording, 40, rng=seed)
+        ensemble = tras.bootstrap(fitted(recording), recording, 30, rng=seed)
         for level, found in inside.items():
             lower, median, upper = tras.prediction_band(ensemble, exact, level)
             assert (lower <= median).all() and (median <= upper).all()

@@ -153,13 +153,12 @@ def _ensemble(model, train, draws, seed):
 
 def _overlay(runs, truth, starts, model, ensemble, latest):
     """Two windows as one table: ``window`` ("typical", "worst"), ``time`` (s) and for each state ``STATE: true, model, linear model, lower, upper``."""
-    parts = []
-    for name, k in zip(("typical", "worst"), typical_and_worst(runs[CHOSEN], truth, latest)):
-        true = truth.states[k][latest:]
+    chosen, first, parts = typical_and_worst(runs[CHOSEN], truth, latest), latest - model.delays, []
+    late = starts._with([starts.states[k][first:] for k in chosen], [starts.inputs[k][first:] for k in chosen])
+    band = prediction_band(ensemble, late) if ensemble else [np.full((2, len(late.states[0]), truth.n), np.nan)] * 3
+    for j, (name, k) in enumerate(zip(("typical", "worst"), chosen)):
+        true, bands = truth.states[k][latest:], [edge[j][model.delays :] for edge in band]
         table = {"window": name, "time": np.arange(len(true)) * truth.dt}
-        first = latest - model.delays
-        late = starts._with([starts.states[k][first:]], [starts.inputs[k][first:]])
-        bands = [band[0][model.delays :] for band in prediction_band(ensemble, late)] if ensemble else [np.full_like(true, np.nan)] * 3
         for i, state in enumerate(truth.state_names):
             columns = (("true", true), (CHOSEN, runs[CHOSEN][k]), (LINEAR, runs[LINEAR][k]), ("lower", bands[0]), ("upper", bands[2]))
             table |= {f"{state}: {kind}": values[:, i] for kind, values in columns}

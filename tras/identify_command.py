@@ -67,9 +67,9 @@ def _hint(words):
 def _parser():
     parser = _Parser(prog="python -m tras.identify_command", description="Identify a system from a recording.")
     add = parser.add_argument
-    add("recording", type=Path, help="a .csv, .parquet, .mat or .nc file")
-    add("--out", type=Path, help="folder of the results (default: build/identify/NAME)")
-    add("--roles", type=Path, help="YAML file that says which columns are time, states, inputs, trial")
+    add("recording", type=_path, help="a .csv, .parquet, .mat or .nc file")
+    add("--out", type=_path, help="folder of the results (default: build/identify/NAME)")
+    add("--roles", type=_path, help="YAML file that says which columns are time, states, inputs, trial")
     add("--states", type=_names, default=[], help="columns that are states or outputs, separated by commas")
     add("--inputs", type=_names, default=[], help="columns that are inputs, separated by commas")
     add("--time", default="", help="the column of time")
@@ -81,6 +81,10 @@ def _parser():
     add("--smoothing", default="", choices=["", "yes", "no"], help="smooth the states before the fit (default: both are tried if they are noisy)")
     add("--draws", type=int, default=30, help="members of the bootstrap, 0 for no band")
     return parser
+
+
+def _path(text):
+    return Path(text).expanduser()
 
 
 def _names(text):
