@@ -133,7 +133,7 @@ def _model(found):
     if found.said["treatment"] == "smoothed":
         level = noise_level(found.recording) / np.ptp(np.concatenate([x for x, _ in found.recording]), axis=0)
         yield Advice("note", "smoothed states", f"The states were smoothed before the fit, and test predictions start from smoothed states (noise {100 * level.max():.2g} % of the range at most). "
-                     "From states as measured they are worse; the table has both.")  # fmt: skip
+                     "The table also has predictions that start from states as measured.")  # fmt: skip
     if found.model.condition_number > 1e10:
         yield Advice("warning", "ill-conditioned", f"The condition number of the liftings is {found.model.condition_number:.2g}: coefficients mean little by themselves, predictions may still be good.")
 
