@@ -218,7 +218,13 @@ def test_output_only_takes_delays_and_a_free_system_no_inputs(log):
     position = tras.identify(log.select(states=["q"]), smoothing=True, predictor="one_step", delays=[0, 1], draws=0)
     assert position.model.delays >= 1 and position.metrics.set_index(["prediction", "state"]).loc[("model", "q"), "nrmse"] < 0.5
     t = np.arange(400) * 0.1
-    free = tras.identify(R([np.column_stack([np.cos(t + p), -np.sin(t + p)]) * (1 + p) for p in np.linspace(0, 1, 6)], None, 0.1), predictor="one_step", delays=[0], smoothing=False, draws=0)
+    free = tras.identify(
+        R([np.column_stack([np.cos(t + p), -np.sin(t + p)]) * (1 + p) for p in np.linspace(0, 1, 6)], None, 0.1),
+        predictor="one_step",
+        delays=[0],
+        smoothing=False,
+        draws=0,
+    )
     assert free.model.input_names_ == () and free.metrics["nrmse"].iloc[0] < 1e-3
     assert any(each.about == "no inputs" for each in free.advice)
 
@@ -242,7 +248,9 @@ def test_scores_are_the_metrics(log):
         assert mine.loc[("model", state), "bfr"] == pytest.approx(tras.metrics.bfr(windows.states, predicted)[i])
         assert mine.loc[("model", state), "enr"] == pytest.approx(tras.metrics.enr(windows.states, predicted)[i])
         pairs = log.cut(2)
-        assert mine.loc[("model", state), "one_step"] == pytest.approx(tras.metrics.nrmse(pairs.states[:, 1:], model.predict(pairs)[:, 1:], span=np.ptp(windows.states, axis=(0, 1)))[i])
+        assert mine.loc[("model", state), "one_step"] == pytest.approx(
+            tras.metrics.nrmse(pairs.states[:, 1:], model.predict(pairs)[:, 1:], span=np.ptp(windows.states, axis=(0, 1)))[i]
+        )
     rise = growth(runs, windows, 0)
     error = (predicted - windows.states) / np.ptp(windows.states, axis=(0, 1))
     assert np.allclose(rise["model"], 100 * np.sqrt(np.mean(error**2, axis=(0, 2)))[1:]) and rise["time"].iloc[0] == log.dt
@@ -274,13 +282,23 @@ def test_bad_recordings_are_told_what_is_wrong():
     noise, angle = rng.normal(size=3000), np.mod(np.cumsum(0.3 + 0.1 * u[:, 0]), 2 * np.pi)
     limited = np.clip(1.3 * u[:, 0], -0.9, 1)
     drifting = x[:, 0] + np.linspace(0, 3, 3000)
+    loop, partly = -3 * x[:, 1] + 0.02 * rng.normal(size=3000), x[:, 1] + 0.5 * np.std(x[:, 1]) * rng.normal(size=3000)
+    inputs = np.column_stack([limited, limited + 0.1 * u[:, 1], loop, np.sign(u[:, 1]), partly])
     given = R(
-        [np.column_stack([x, noise, angle, drifting])], [np.column_stack([limited, limited + 0.1 * u[:, 1], -3 * x[:, 1] + 0.02 * rng.normal(size=3000), np.sign(u[:, 1]), x[:, 1] + 0.5 * np.std(x[:, 1]) * rng.normal(size=3000)])], 0.1,
+        [np.column_stack([x, noise, angle, drifting])], [inputs], 0.1,
         state_names=["a", "b", "loose", "angle", "slow"], input_names=["lim", "near", "loop", "switch", "partly"],
     )  # fmt: skip
     told = abouts(given)
     assert told["loose is not predicted"].weight == told["angle jumps by a full turn"].weight == "stop"
-    expected = {"lim saturates", "loose is noisy", "loop follows the states", "lim and near move together", "slow drifts", "slow beyond the training data", "switch has few values"}
+    expected = {
+        "lim saturates",
+        "loose is noisy",
+        "loop follows the states",
+        "lim and near move together",
+        "slow drifts",
+        "slow beyond the training data",
+        "switch has few values",
+    }
     assert expected <= set(told)
     assert not {"near saturates", "a is noisy", "a drifts", "switch follows the states", "partly follows the states"} & set(told)
     order = [each.weight for each in told.values()]

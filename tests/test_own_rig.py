@@ -50,7 +50,9 @@ def test_everything_is_there(checkout):
         folder = checkout / "build" / "identify" / name
         listed = pd.read_csv(folder / "contents.csv")["file"]
         assert all((folder / path).is_file() for path in listed)
-        assert {"report.html", "model.npz", "export/model.c", "export/model.mat", "export/model_step.m", "export/formulas.txt", "tables/metrics.csv"} <= set(listed)
+        assert {"report.html", "model.npz", "export/model.c", "export/model.mat", "export/model_step.m", "export/formulas.txt", "tables/metrics.csv"} <= set(
+            listed
+        )
         assert (folder / "identify.ipynb").is_file() and (folder / "identify.json").is_file()
         metrics = pd.read_csv(folder / "tables" / "metrics.csv").set_index(["prediction", "state"])["nrmse"]
         assert len(metrics["model"]) == n
@@ -63,7 +65,14 @@ def test_the_page_is_whole_and_needs_no_network(checkout):
     tree = ElementTree.fromstring(text.removeprefix("<!DOCTYPE html>\n"))
     images = [image.get("src") for image in tree.iter(f"{NAME}img")]
     assert len(images) == 5 and all(source.startswith("data:image/") for source in images)
-    assert [h.text for h in tree.iter(f"{NAME}h2")][1:] == ["In short", "The recording", "How the model was chosen", "How well it predicts", "The operator", "Files"]
+    assert [h.text for h in tree.iter(f"{NAME}h2")][1:] == [
+        "In short",
+        "The recording",
+        "How the model was chosen",
+        "How well it predicts",
+        "The operator",
+        "Files",
+    ]
     assert "://" not in text.replace("http://www.w3.org/", "")
 
 

@@ -64,7 +64,8 @@ def channels(recording):
         ``channel, role, unit, lowest, highest, mean, deviation``; ``levels``, the number of different values, and ``step``, the usual distance
         between neighbouring ones (0 if there are too many to be levels); ``at_lowest, at_highest``, the share of samples that stand at a limit (0
         where an extreme is just an extreme); ``noise``, a fraction of the range (NaN for inputs); ``jump``, the largest change over a sample as a
-        fraction of the range, and ``usual``, the 99th percentile of the same; ``wraps``, how often it jumps by a full turn (360 or 2 pi); ``shift``, the difference of the means of first and second half in deviations.
+        fraction of the range, and ``usual``, the 99th percentile of the same; ``wraps``, how often it jumps by a full turn (360 or 2 pi);
+        ``shift``, the difference of the means of first and second half in deviations.
     """
     level = noise_level(recording) if recording.lengths.max() >= 4 else np.full(recording.n, np.nan)
     x, u = (np.concatenate(part) for part in zip(*recording))

@@ -52,7 +52,9 @@ def bootstrap(model, recording, draws=100, rng=0, *, processes=1):
     recording = join(recording)
     model._fitted()
     if len(recording) < 10:
-        raise ValueError(f"recording has {len(recording)} trajectories, and a bootstrap draws among ten or more; cut it into pieces with recording.cut(samples).")
+        raise ValueError(
+            f"recording has {len(recording)} trajectories, and a bootstrap draws among ten or more; cut it into pieces with recording.cut(samples)."
+        )
     if isinstance(draws, bool) or not isinstance(draws, (int, np.integer)) or draws < 2:
         raise ValueError(f"draws is {draws!r}; give a whole number, 2 or more.")
     if isinstance(rng, bool) or not isinstance(rng, (np.random.Generator, int, np.integer)):

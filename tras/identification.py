@@ -116,7 +116,9 @@ def _windows(test, samples, pairs, latest, treatments):
     chosen = preparation.thinned(test.cut_all(2001), 2 * TESTED)
     truth = preparation.in_pieces(chosen, samples, fewest)
     if truth.lengths.min() <= latest + 1:
-        raise ValueError(f"the trajectories kept for the test have {int(truth.lengths.max())} samples, too few for {latest} delays: record longer, or try fewer delays.")
+        raise ValueError(
+            f"the trajectories kept for the test have {int(truth.lengths.max())} samples, too few for {latest} delays: record longer, or try fewer delays."
+        )
     starts = {name: truth if name == "as measured" else preparation.in_pieces(preparation.smoothed(chosen, pairs), samples, fewest) for name in treatments}
     thin = np.unique(np.linspace(0, len(truth) - 1, max(2, min(len(truth), int(len(truth) * TESTED / max(truth.pairs, 1))))).astype(int))
     return truth[thin], {name: each[thin] for name, each in starts.items()}

@@ -97,10 +97,16 @@ def _all(found, log, name, stage):
 
 
 _TABLES = {
-    "channels": "ranges, limits, steps and noise of every channel", "correlation": "correlation between inputs", "spectra": "spectra of every channel",
-    "search": "every candidate with its error", "metrics": "the test", "growth": "error against time ahead",
-    "predictions": "measured and predicted states over two test windows, with the band", "eigenvalues": "of the Koopman matrices", "advice": "the warnings of this page",
-}  # fmt: skip
+    "channels": "ranges, limits, steps and noise of every channel",
+    "correlation": "correlation between inputs",
+    "spectra": "spectra of every channel",
+    "search": "every candidate with its error",
+    "metrics": "the test",
+    "growth": "error against time ahead",
+    "predictions": "measured and predicted states over two test windows, with the band",
+    "eigenvalues": "of the Koopman matrices",
+    "advice": "the warnings of this page",
+}
 
 
 def _tables(found):

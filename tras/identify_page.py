@@ -52,13 +52,26 @@ def write_page(found, log, name, figures, exports, failures, formulas=""):
     parts.append(picture("data", "All channels over time", "The recording, trajectories one behind the other (grey lines where one begins). " + _shown(found)))
     parts.append(convert("### Excitation"))
     parts.append(text(_excitation(found)) + _correlation(found))
-    parts.append(picture("spectra", "Spectra of inputs and states", "Where in frequency the channels move, by Welch's method: share of variance per Hz. Means are taken away."))
+    parts.append(
+        picture(
+            "spectra",
+            "Spectra of inputs and states",
+            "Where in frequency the channels move, by Welch's method: share of variance per Hz. Means are taken away.",
+        )
+    )
     put("## How the model was chosen", text(_search_text(found)), _list([*found.said["partition"], *found.said["search"]]), _candidates(found))
     put("## How well it predicts", text(_test_text(found)), _metrics(found))
     parts.append(picture("predictions", "Measured and predicted states over two test windows", _prediction_caption(found)))
-    parts.append(picture("growth", "Error against time ahead", "Root mean square error of all states over the test windows, each in percent of the state's range, against how far ahead is predicted."))
+    parts.append(
+        picture(
+            "growth",
+            "Error against time ahead",
+            "Root mean square error of all states over the test windows, each in percent of the state's range, against how far ahead is predicted.",
+        )
+    )
     put("## The operator", f"<pre>{page.escape(summary.describe(found.model))}</pre>\n", _formulas(formulas))
-    parts.append(picture("spectrum", "Eigenvalues with the unit circle", "Eigenvalues of the Koopman matrices and the unit circle; on the right the neighbourhood of one. One exactly belongs to "
+    parts.append(picture("spectrum", "Eigenvalues with the unit circle", "Eigenvalues of the Koopman matrices and the unit circle; on the right the "
+        "neighbourhood of one. One exactly belongs to "
                          "the constant and to functions of inputs alone, which are held over a sample."))  # fmt: skip
     put("## Files", _files(exports), _list(failures), _use(found))
     return page.frame(f"Identification of {name}", "".join(parts), contents)
@@ -79,7 +92,8 @@ def _chosen(found):
     delays = f", {model.delays} delay{'s' if model.delays != 1 else ''}" if model.delays else ""
     treated = {"smoothed": "smoothed states", "as measured": "states as measured"}[found.said["treatment"]]
     return (
-        f"<p>The model: {page.escape(words)} (<code>{page.escape(dictionary)}</code>, {len(model.names_)} functions){delays}, predictor <code>{page.escape(model.predictor)}</code>, fitted to "
+        f"<p>The model: {page.escape(words)} (<code>{page.escape(dictionary)}</code>, {len(model.names_)} functions){delays}, predictor "
+        f"<code>{page.escape(model.predictor)}</code>, fitted to "
         f"{model.pairs_} snapshot pairs of {treated}.</p>\n"
     )
 
@@ -99,7 +113,8 @@ def _size(found):
     facts = found.checks.facts
     lengths = f"{facts['longest']}" if facts["shortest"] == facts["longest"] else f"{facts['shortest']} to {facts['longest']}"
     trajectories = "1 trajectory" if facts["trajectories"] == 1 else f"{facts['trajectories']} trajectories"
-    return f"{trajectories} of {lengths} samples at {facts['dt']:.6g} s: {facts['samples']} samples, {facts['pairs']} snapshot pairs, {facts['seconds']:.4g} s in all."
+    amount = f"{facts['samples']} samples, {facts['pairs']} snapshot pairs, {facts['seconds']:.4g} s in all"
+    return f"{trajectories} of {lengths} samples at {facts['dt']:.6g} s: {amount}."
 
 
 def _shown(found):
@@ -115,12 +130,19 @@ def _channels(found):
         cells = [row["channel"], row["role"], row["unit"] or "–", *(f"{row[key]:.4g}" for key in ("lowest", "highest", "mean", "deviation"))]
         rows.append([page.escape(cell) for cell in (*cells, f"{row['step']:.3g}" if row["step"] else "–", f"{limit:.2g}", level)])
     head = ["channel", "role", "unit", "lowest", "highest", "mean", "deviation", "step", "at a limit (%)", "noise (% of range)"]
-    return page.table(head, rows, "Channels: deviation is the standard deviation, step the usual distance between neighbouring values if they are few, noise what moves within four samples.")
+    return page.table(
+        head,
+        rows,
+        "Channels: deviation is the standard deviation, step the usual distance between neighbouring values if they are few, "
+        "noise what moves within four samples.",
+    )
 
 
 def _excitation(found):
     facts = found.checks.facts
-    sentences = [f"Constant, states and inputs, each scaled to its range: rank {facts['rank']} of {facts['channels']}, condition number {facts['condition']:.3g}."]
+    sentences = [
+        f"Constant, states and inputs, each scaled to its range: rank {facts['rank']} of {facts['channels']}, condition number {facts['condition']:.3g}."
+    ]
     if facts["order"] is not None:
         more = " or more" if facts["order"] == 20 else ""
         sentences.append(f"The inputs are persistently exciting of order {facts['order']}{more}, lags of {facts['lag'] * facts['dt']:.3g} s.")
@@ -141,8 +163,10 @@ def _correlation(found):
 def _search_text(found):
     table = found.search
     return (
-        f"{len(table)} candidates in two rounds: treatments of noise and numbers of delays first, with a linear and a nonlinear dictionary; then every dictionary at the best of these, and without delays. "
-        "The error is that of whole roll-outs of pieces that were held out from the candidate, against what was measured; each candidate also chooses its strength of "
+        f"{len(table)} candidates in two rounds: treatments of noise and numbers of delays first, with a linear and a nonlinear dictionary; then every "
+        f"dictionary at the best of these, and without delays. "
+        "The error is that of whole roll-outs of pieces that were held out from the candidate, against what was measured; each candidate also chooses its "
+        "strength of "
         "regularisation. Errors within 10 % of the least count as equal, and then the candidate with fewest functions is taken."
     )
 
@@ -155,7 +179,18 @@ def _candidates(found):
         error = f"{row['error']:.4g}" if math.isfinite(row["error"]) else "–"
         functions = f"{row['functions']:.0f}" if math.isfinite(row["functions"]) else "–"
         strength = f"{row['strength']:g}" if math.isfinite(row["strength"]) else "–"
-        rows.append([page.escape(label(row["model"].dictionary, found.recording.state_names)), page.escape(row["predictor"]), str(row["delays"]), page.escape(row["states"]), functions, strength, error, mark])
+        rows.append(
+            [
+                page.escape(label(row["model"].dictionary, found.recording.state_names)),
+                page.escape(row["predictor"]),
+                str(row["delays"]),
+                page.escape(row["states"]),
+                functions,
+                strength,
+                error,
+                mark,
+            ]
+        )
     more = f" The best {_ROWS} of {len(found.search)}; all are in tables/search.csv." if len(found.search) > _ROWS else ""
     head = ["dictionary", "predictor", "delays", "states", "functions", "strength", "error (half-ranges)", ""]
     return page.table(head, rows, f"Candidates, the least error first.{more}", kind="short")
@@ -164,8 +199,10 @@ def _candidates(found):
 def _test_text(found):
     windows, longest = len(found.test), int(found.test.lengths.max())
     return (
-        f"{windows} windows of up to {longest} samples that nothing was chosen or fitted by; every prediction starts from the first samples of its window and sees the inputs only. NRMSE is the root mean "
-        "square error over the range of the truth, BFR the best fit ratio (100 is perfect, 0 no better than the mean), Enr the norm of the error over that of the truth."
+        f"{windows} windows of up to {longest} samples that nothing was chosen or fitted by; every prediction starts from the first samples of its window "
+        f"and sees the inputs only. NRMSE is the root mean "
+        "square error over the range of the truth, BFR the best fit ratio (100 is perfect, 0 no better than the mean), Enr the norm of the error over that "
+        "of the truth."
     )
 
 
@@ -181,9 +218,12 @@ def _metrics(found):
 
 
 def _prediction_caption(found):
-    band = f"The band holds 90 % of {len(found.ensemble)} models fitted to resampled trajectories: what is uncertain because the data are few or noisy, not what the dictionary cannot say." if found.ensemble else (
-        f"There is no band: {found.said['band']}."
-    )  # fmt: skip
+    band = f"There is no band: {found.said['band']}."
+    if found.ensemble:
+        band = (
+            f"The band holds 90 % of {len(found.ensemble)} models fitted to resampled trajectories: what is uncertain because the data are few or noisy, "
+            "not what the dictionary cannot say."
+        )
     more = " Six states are shown, all are in tables/predictions.csv." if found.recording.n > 6 else ""
     return f"Two test windows: the one with the median error, and the worst. {band}{more}"
 
@@ -200,11 +240,10 @@ def _files(exports):
 
 
 def _use(found):
-    model, m = found.model, found.recording.m
-    first = "log.states[0][0]" if not model.delays else f"log.states[0][: {model.delays + 1}]"
-    inputs = "log.inputs[0]" if m else "numpy.empty((500, 0))"
-    head = "import numpy\n" if not m else ""
-    code = f'{head}import tras\n\nmodel = tras.load_model("model.npz")\nstates = model.simulate({first}, {inputs})  # log: a tras.Recording of {", ".join(found.recording.state_names)}'
+    model, names = found.model, ", ".join(found.recording.state_names)
+    first = f"log.states[0][: {model.delays + 1}]" if model.delays else "log.states[0][0]"
+    imports, inputs = ("import tras", "log.inputs[0]") if found.recording.m else ("import numpy\nimport tras", "numpy.empty((500, 0))")
+    code = f'{imports}\n\nmodel = tras.load_model("model.npz")\nstates = model.simulate({first}, {inputs})  # log: a tras.Recording of {names}'
     return f"<pre>{page.escape(code)}</pre>\n"
 
 
