@@ -77,7 +77,7 @@ LOCKED := $(shell { sha256sum environment.txt || shasum -a 256 environment.txt; 
 READY := .venv/.ready-$(LOCKED)
 PY := .venv/bin/python
 
-.PHONY: help setup all stages paper figures report sweep smoke test verify bless lab lock readme clean distclean bench FORCE
+.PHONY: help setup all stages paper figures report sweep smoke test verify bless lab lock readme clean distclean bench identify example FORCE
 
 help: ## list the targets (this text)
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
@@ -101,6 +101,20 @@ SWEEP ?= params/sweeps/dictionaries.yaml
 sweep: $(READY) ## many fits, described by SWEEP=params/sweeps/dictionaries.yaml, on this machine's cores or SCHEDULER=tcp://host:8786
 	@$(PY) -m tras.sweep_run $(SWEEP) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
+# RECORDING=log.csv, and where names are not plain ROLES=roles.yaml or STATES=a,b INPUTS=c TIME=t TRIAL=run; also DT= RESAMPLE= PREDICTOR= DELAYS=
+# SMOOTHING= DRAWS= OUT= (docs/own_rig.md).
+IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL DT RESAMPLE PREDICTOR DELAYS SMOOTHING DRAWS
+quoted = '$(subst ','\'',$(1))'
+lower = $(shell printf %s "$(1)" | tr A-Z a-z)
+
+identify: $(READY) ## a model of your own system: make identify RECORDING=log.csv (docs/own_rig.md)
+	@$(if $(RECORDING),,echo "say which recording: make identify RECORDING=log.csv (make example writes one to try)" >&2; exit 2)
+	@$(PY) -m tras.identify_command $(call quoted,$(RECORDING)) $(foreach name,$(IDENTIFY),$(if $($(name)),--$(call lower,$(name))=$(call quoted,$($(name)))))
+
+example: $(READY) ## recordings of two simulated systems to try it on, in build/example/
+	@$(PY) -m tras.examples duffing build/example/duffing.csv
+	@$(PY) -m tras.examples cart_pole build/example/cart_pole.csv
+
 smoke: $(READY) ## the same stages, small, below build/smoke/
 	@$(MAKE) PROFILE=smoke stages
 
@@ -108,7 +122,8 @@ test: $(READY) ## unit tests, then every notebook of the small profile rerun and
 	@status=0; \
 	MPLBACKEND=Agg $(PY) -m pytest || status=1; \
 	$(MAKE) PROFILE=smoke stages \
-	  && $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) || status=1; \
+	  && $(MAKE) example && $(MAKE) identify RECORDING=build/example/duffing.csv OUT=build/smoke/identify \
+	  && $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) build/smoke/identify/identify.ipynb || status=1; \
 	exit $$status
 
 lab: $(READY) ## open the notebooks in JupyterLab

@@ -15,6 +15,7 @@ import collections
 import csv
 import multiprocessing
 import os
+import resource
 import sys
 import tempfile
 import time
@@ -118,8 +119,6 @@ def verdict(path, truth):
 
 def work(jobs, answers, folder, names, contents, truths):
     """The child: reads one input after the other."""
-    import resource
-
     resource.setrlimit(resource.RLIMIT_AS, (6 * 2**30, 6 * 2**30))
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     for name, seed in iter(jobs.recv, None):
@@ -146,6 +145,10 @@ class Child:
         self.process.start()
         jobs.close()
         answers.close()
+
+    def end(self):
+        self.jobs.send(None)
+        self.process.join()
 
     def ask(self, job):
         self.jobs.send(job)
@@ -188,9 +191,11 @@ def main():
                     print(f"{name}, seed {options.seed} {number}: {found} {words}", flush=True)
             if time.monotonic() - began > options.seconds:
                 break
+        child.end()
     table = report(counts)
     print(table.to_string(index=False))
-    print(f"{sum(table['inputs'])} inputs in {time.monotonic() - began:.0f} s, seed {options.seed}")
+    memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    print(f"{sum(table['inputs'])} inputs in {time.monotonic() - began:.0f} s, seed {options.seed}; at most {memory:.0f} MiB of memory")
     for words, times in kinds.most_common(40):
         print(f"{times:6d}  {words}")
     if options.csv:

@@ -328,6 +328,19 @@ def test_parquet_of_other_tools(tmp_path):
         R.read(tmp_path / "a.parquet", {"states": ["note"]})
 
 
+@pytest.mark.parametrize("metadata", [None, {b"trbs": b"{}"}])
+def test_a_parquet_of_ours_that_lost_its_description_is_refused(metadata, experiment, tmp_path):
+    """Its columns have plain names: guessed, it would be read with other units and nothing to check it by."""
+    experiment.write(tmp_path / "a.parquet")
+    table = pyarrow.parquet.read_table(tmp_path / "a.parquet").replace_schema_metadata(metadata)
+    pyarrow.parquet.write_table(table, tmp_path / "b.parquet")
+    for roles in (None, {"states": ["phi"], "time": "time", "trial": "trajectory"}):
+        with pytest.raises(tras.RecordingError, match="has lost its own description"):
+            R.read(tmp_path / "b.parquet", roles)
+    pandas.read_parquet(tmp_path / "a.parquet").to_parquet(tmp_path / "c.parquet")  # another tool's file by now
+    assert R.read(tmp_path / "c.parquet", {"states": ["phi"], "inputs": []}).state_names == ("phi",)
+
+
 def test_parquet_units_and_nested_columns(tmp_path):
     fields = [pyarrow.field(name, pyarrow.float64(), metadata={"unit": unit}) for name, unit in (("t", "ms"), ("q", "rad"))]
     table = pyarrow.table([[0.0, 5.0], [1.0, 2.0]], schema=pyarrow.schema(fields)).append_column("x", [[[1.0], [2.0, 3.0]]])
@@ -518,6 +531,21 @@ def test_claims_of_size_are_refused_before_room_is_made(tmp_path):
         file.create_dataset("x", (10**9, 10**3), "f8", chunks=(1000, 1000))
     with pytest.raises(tras.RecordingError, match="more than 100000000 values"):
         R.read(tmp_path / "c.mat")
+
+
+def test_tables_that_announce_absurd_sizes_are_refused_before_room_is_made(tmp_path):
+    """Both files are small: HDF5 leaves out chunks that nobody wrote, and Parquet counts equal values."""
+    recording = R([np.zeros((4, 1))], None, 0.1)
+    recording.write(tmp_path / "a.nc")
+    with h5py.File(tmp_path / "a.nc", "a") as file:
+        file.create_dataset("huge", (10**12,), "f8", chunks=(1000,)).make_scale("huge")
+    with pytest.raises(tras.RecordingError, match=r"\d{13} values; up to 100000000 are read"):
+        R.read(tmp_path / "a.nc")
+    nulls = pyarrow.table({name: pyarrow.nulls(3 * 10**7) for name in ("t", "q", "u", "v")})
+    pyarrow.parquet.write_table(nulls, tmp_path / "a.parquet")
+    assert (tmp_path / "a.parquet").stat().st_size < 10**6
+    with pytest.raises(tras.RecordingError, match="30000000 rows of 4 columns; up to 100000000 values are read"):
+        R.read(tmp_path / "a.parquet")
 
 
 # --- damage ------------------------------------------------------------------------------------------------------------------------

@@ -9,14 +9,18 @@ import pyarrow.parquet
 import pyarrow.types as types
 
 from tras.roles import RecordingError
-from tras.source import MAX_FILE, Source, check_size, said
+from tras.source import MAX_COLUMNS, MAX_FILE, Source, check_size, said
 
 _KEY = b"tras"  # of the file's metadata
+# Our columns are numbered from here on: that stands in another place of the file than the metadata, and tells when these were lost.
+_ID, _FIRST = b"PARQUET:field_id", int.from_bytes(b"tras", "big")
 
 
 def write_table(frame, header, path):
     """A pandas table, ``header`` (a dict) in its metadata, with checksums of its pages."""
-    table = pyarrow.Table.from_pandas(frame, preserve_index=False).replace_schema_metadata({_KEY: json.dumps(header)})
+    table = pyarrow.Table.from_pandas(frame, preserve_index=False)
+    fields = [field.with_metadata({_ID: str(_FIRST + i)}) for i, field in enumerate(table.schema)]
+    table = table.cast(pyarrow.schema(fields, metadata={_KEY: json.dumps(header)}))
     pyarrow.parquet.write_table(table, path, write_page_checksum=True)
 
 
@@ -35,6 +39,8 @@ def open_table(path):
         header = json.loads((schema.metadata or {}).get(_KEY, b"null"))
         metadata = {name: schema.field(name).metadata or {} for name in names}
         units = {name: own.get(b"units", own.get(b"unit", b"")).decode("utf-8") for name, own in metadata.items()}
+    if header is None and any(own.get(_ID, b"").isdigit() and 0 <= int(own[_ID]) - _FIRST < MAX_COLUMNS for own in metadata.values()):
+        raise RecordingError("it was written as a tras recording but has lost its own description: it is damaged; make it again with Recording.write.")
 
     def read(roles):
         wanted = [name for name in names if name in (roles.time, roles.trial, *roles.states, *roles.inputs)]

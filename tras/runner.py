@@ -10,6 +10,7 @@ its own such file beside it (`tras.provenance`).
 """
 
 import argparse
+import contextlib
 import datetime
 import glob
 import json
@@ -30,7 +31,9 @@ PINNED = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS"
 
 
 class RunError(RuntimeError):
-    """The notebook ran and did not do what it should."""
+    """The notebook ran and did not do what it should. ``name`` and ``words`` are those of the error in a cell, if it was one."""
+
+    name = words = ""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -85,7 +88,7 @@ def run_notebook(notebook, executed, parameters=None, outputs=()):
     except RunError as error:
         if running.exists():
             os.replace(running, failed)
-            raise RunError(f"{error}\nThe notebook as far as it came: {failed}") from None
+            error.args = (f"{error}\nThe notebook as far as it came: {failed}",)
         raise
     except BaseException:
         running.unlink(missing_ok=True)
@@ -135,9 +138,9 @@ def _execute(notebook, running, parameters):
             guard.stdin.write(b"done\n")
     except papermill.PapermillExecutionError as error:
         cell = "\n".join(f"    {line}" for line in error.source.splitlines())
-        raise RunError(
-            f"{notebook.stem} failed in cell [{error.exec_count}]: {error.ename}: {error.evalue}\nThe cell:\n{cell}"
-        ) from None
+        failed = RunError(f"{notebook.stem} failed in cell [{error.exec_count}]: {error.ename}: {error.evalue}\nThe cell:\n{cell}")
+        failed.name, failed.words = error.ename, error.evalue
+        raise failed from None
     except (DeadKernelError, CellTimeoutError) as error:
         raise RunError(f"{notebook.stem}: the kernel ended in the middle of a cell ({error}); was the memory enough?") from None
     except NoSuchKernel:
@@ -183,6 +186,18 @@ def _interrupt(number, _frame):
     raise Interrupted(number)
 
 
+@contextlib.contextmanager
+def interruptible():
+    """SIGINT and SIGTERM are `Interrupted` inside, so that kernels are ended and nothing is left."""
+    Interrupted.received = False
+    handlers = {each: signal.signal(each, _interrupt) for each in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for each, handler in handlers.items():
+            signal.signal(each, handler)
+
+
 def main(arguments=None):
     """Command line; returns the exit code: 0, 1 (the run failed), 2 (the call was wrong), 130 or 143 (interrupted)."""
     parser = argparse.ArgumentParser(prog="python -m tras.runner", description="Run one notebook with checked parameters.")
@@ -192,14 +207,13 @@ def main(arguments=None):
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="one parameter more; wins over the file")
     parser.add_argument("--outputs", nargs="*", default=[], metavar="PATH", help="files that the run must write")
     options = parser.parse_args(arguments)
-    Interrupted.received = False
-    handlers = {each: signal.signal(each, _interrupt) for each in (signal.SIGINT, signal.SIGTERM)}
     try:
-        defaults = notebook_defaults(options.notebook)
-        section = read_params(options.params, options.notebook) if options.params else {}
-        parameters = check_parameters(section, defaults, f"{options.params}, section {options.notebook.stem}")
-        parameters.update(check_parameters(parse_settings(options.set), defaults, f"--set for {options.notebook.stem}"))
-        seconds = run_notebook(options.notebook, options.executed, parameters, options.outputs)
+        with interruptible():
+            defaults = notebook_defaults(options.notebook)
+            section = read_params(options.params, options.notebook) if options.params else {}
+            parameters = check_parameters(section, defaults, f"{options.params}, section {options.notebook.stem}")
+            parameters.update(check_parameters(parse_settings(options.set), defaults, f"--set for {options.notebook.stem}"))
+            seconds = run_notebook(options.notebook, options.executed, parameters, options.outputs)
         print(f"{options.notebook.stem}  {seconds:.1f} s", flush=True)
         return 0
     except ParameterError as error:
@@ -216,9 +230,6 @@ def main(arguments=None):
         number = interrupt.args[0]
         print(f"{options.notebook.stem} was interrupted; nothing was left under the name {options.executed}.", file=sys.stderr)
         return 128 + number
-    finally:
-        for each, handler in handlers.items():
-            signal.signal(each, handler)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,105 @@
+"""How well models predict trajectories that nothing was chosen or fitted by, for any states, beside predictions that cost nothing."""
+
+import numpy as np
+import pandas as pd
+
+from tras import metrics
+from tras.identify_search import rolled
+
+CONSTANT, HELD = "mean of the training data", "stays where it is"
+_ONE_STEP = 20_000  # predictions over one sample that are made, at most
+
+
+def compare(models, truth, train, latest):
+    """Metrics of every state over windows, a row a state and prediction.
+
+    Parameters
+    ----------
+    models : dict of str to (KoopmanModel, Recording)
+        With what each starts from: windows as ``truth``, treated as the model wants them.
+    truth : Recording
+        Windows as measured.
+    train : Recording
+        For its mean.
+    latest : int
+        The sample that all predictions begin at.
+
+    Returns
+    -------
+    table : pandas.DataFrame
+        ``state, prediction, one_step`` (NRMSE over one sample, %), ``nrmse`` (%), ``bfr`` (%), ``enr`` (fraction), ``windows, diverged``. Windows that
+        diverged are left out of the metrics; NaN where a state does not move.
+    runs : dict of str to list of (samples_i, n)
+        The predictions.
+    """
+    true = [x[latest:] for x, _ in truth]
+    mean = np.concatenate([x for x, _ in train]).mean(axis=0)
+    runs = {name: rolled(model, starts, latest) for name, (model, starts) in models.items()}
+    runs |= {HELD: [np.repeat(x[:1], len(x), axis=0) for x in true], CONSTANT: [np.repeat(mean[None], len(x), axis=0) for x in true]}
+    single = {name: _one_step(model, starts, truth) for name, (model, starts) in models.items()}
+    span = np.ptp(np.concatenate(true), axis=0)
+    rows = []
+    for name, run in runs.items():
+        lost = metrics.diverged(true, run)
+        kept = [k for k in range(len(true)) if not lost[k]]
+        values = _metrics([true[k] for k in kept], [run[k] for k in kept], span) if kept else np.full((3, truth.n), np.nan)
+        for i, state in enumerate(truth.state_names):
+            one = single[name][i] if name in single else np.nan
+            about = dict(zip(("nrmse", "bfr", "enr"), values[:, i]))
+            rows.append({"state": state, "prediction": name, "one_step": one, **about, "windows": len(true), "diverged": int(lost.sum())})
+    return pd.DataFrame(rows), runs
+
+
+def growth(runs, truth, latest):
+    """Root mean square error against the time ahead, over all states in percent of their ranges: ``time`` (s), then a column a prediction.
+
+    Over the windows of full length that did not diverge.
+    """
+    true = [x[latest:] for x, _ in truth]
+    longest = max(map(len, true))
+    full = [k for k, x in enumerate(true) if len(x) == longest]
+    span = _moving(np.ptp(np.concatenate(true), axis=0))
+    table = {"time": np.arange(1, longest) * truth.dt}
+    for name, run in runs.items():
+        lost = metrics.diverged(true, run)
+        errors = [((run[k] - true[k]) / span)[1:, np.isfinite(span)] for k in full if not lost[k]]
+        table[name] = 100 * np.sqrt(np.mean(np.square(errors), axis=(0, 2))) if errors else np.full(longest - 1, np.nan)
+    return pd.DataFrame(table)
+
+
+def typical_and_worst(run, truth, latest):
+    """Indices of two windows of full length: the one with the median error, and the one with the largest, diverged ones included."""
+    true = [x[latest:] for x, _ in truth]
+    longest = max(map(len, true))
+    full = [k for k, x in enumerate(true) if len(x) == longest]
+    span = _moving(np.ptp(np.concatenate(true), axis=0))
+    moving = np.isfinite(span)
+    error = np.array([np.nan_to_num(np.mean(((run[k] - true[k]) / span)[:, moving] ** 2), nan=np.inf) for k in full])
+    order = np.argsort(error, kind="stable")
+    return full[order[(len(order) - 1) // 2]], full[order[-1]]
+
+
+def _one_step(model, starts, truth):
+    """NRMSE (%) over one sample, started again and again."""
+    count = model.delays + 2
+    cut = [(s[k : k + count], u[k : k + count], x[k + count - 1]) for (s, u), (x, _) in zip(starts, truth) for k in range(0, len(s) - count + 1, count - 1)]
+    cut = cut[:: max(1, len(cut) // _ONE_STEP)]
+    pieces = starts._with([s for s, _, _ in cut], [u for _, u, _ in cut])
+    with np.errstate(over="ignore", invalid="ignore"):
+        predicted = np.asarray(model.predict(pieces))[:, -1]
+    error = predicted - np.array([x for *_, x in cut])
+    return 100 * np.sqrt(np.mean(error**2, axis=0)) / _moving(np.ptp(np.concatenate([x for x, _ in truth]), axis=0))
+
+
+def _metrics(true, run, span):
+    """NRMSE (%), BFR (%) and Enr of each state, (3, n); NaN for one that does not move."""
+    true, run = np.concatenate(true), np.concatenate(run)
+    error = np.linalg.norm(true - run, axis=0)
+    size, spread = np.linalg.norm(true, axis=0), np.linalg.norm(true - true.mean(axis=0), axis=0)
+    nrmse = 100 * error / np.sqrt(len(true)) / _moving(span)
+    return np.stack([nrmse, 100 * np.maximum(1 - error / _moving(spread), 0), error / _moving(size)])
+
+
+def _moving(span):
+    """A range to divide by: NaN where there is none."""
+    return np.where(span > 0, span, np.nan)
