@@ -1,9 +1,13 @@
 """Pictures of one chosen model: what the explorer shows, and the vector field beside the true one. See `tras.figures`."""
 
+import io
+
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from tras.figures import LINEAR, MODEL, TRUTH, require, styled
+from tras.figures import LINEAR, MODEL, TRUTH, new_figure, require, styled
 
 _ROLES = {"koopman": MODEL | {"label": "Koopman"}, "linear": LINEAR | {"label": "linear model"}}
 
@@ -38,6 +42,15 @@ def outcome_figure(overlay, growth, spectrum):
     _spectrum_panel(plane, spectrum)
     figure.legend(*yaw.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(0.07, 0.995), ncols=3)
     return figure
+
+
+@styled()
+def png(figure, dpi=130):
+    """A figure as the bytes of a PNG, for a notebook or a widget."""
+    target = io.BytesIO()
+    FigureCanvasAgg(figure)
+    figure.savefig(target, format="png", dpi=dpi, metadata={"Software": None})
+    return target.getvalue()
 
 
 def _overlay_panel(panel, overlay, angle, label):
@@ -77,3 +90,51 @@ def _spectrum_panel(panel, spectrum):
     side = 0.08 * (right - left) + 0.25 * reach
     panel.set(xlabel="real part", ylabel="imaginary part", xlim=(left - side, right + side), ylim=(-reach, reach))
     panel.set_title("eigenvalues of $K$, and the unit circle", fontsize=8.6)
+
+
+@styled()
+def portrait_figure(table):
+    """The true vector field and identified ones, a row for each plane: lines follow the field, the colour is the error of the acceleration.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        From `tras.portraits.portrait`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    require(table, "table", ["model", "plane", "angle", "rate", "d_angle", "d_rate", "error"])
+    names = list(dict.fromkeys(table["model"]))
+    planes = {"pitch": (r"pitch $\phi$ (rad)", r"$\dot\phi$ (rad/s)"), "yaw": (r"yaw $\psi$ (rad)", r"$\dot\psi$ (rad/s)")}
+    figure, axes = new_figure(height=3.5, rows=2, columns=len(names), squeeze=False, sharex="row", sharey="row")
+    errors = table["error"][table["model"] != "true"]
+    norm = LogNorm(max(errors.quantile(0.02), 1e-6), max(errors.max(), 2e-6)) if len(errors) else None
+    coloured = None
+    for row, (plane, (across, up)) in zip(axes, planes.items()):
+        for panel, name in zip(row, names):
+            drawn = _portrait_panel(panel, table[(table["model"] == name) & (table["plane"] == plane)], norm if name != "true" else None)
+            coloured = drawn or coloured
+            panel.set_xlabel(across)
+        row[0].set_ylabel(up)
+    for panel, name in zip(axes[0], names):
+        panel.set_title(name)
+    if coloured:
+        look = {"location": "bottom", "shrink": 0.9, "aspect": 35, "format": "{x:g}"}  # no powers: an index would be too small to read
+        bar = figure.colorbar(coloured, ax=axes.ravel().tolist(), label="error of the acceleration (rad/s²)", **look)
+        bar.ax.minorticks_off()
+    return figure
+
+
+def _portrait_panel(panel, cells, norm):
+    first, second = (np.unique(cells[name]) for name in ("angle", "rate"))
+    fields = {name: cells[name].to_numpy().reshape(len(second), len(first)) for name in ("d_angle", "d_rate", "error")}
+    drawn = None
+    if norm:
+        drawn = panel.pcolormesh(first, second, np.maximum(fields["error"], norm.vmin), norm=norm, cmap="YlOrRd", shading="gouraud", rasterized=True)
+    # Even steps to the last bit, as streamplot wants them.
+    even = [np.linspace(values[0], values[-1], len(values)) for values in (first, second)]
+    panel.streamplot(*even, fields["d_angle"], fields["d_rate"], density=0.55, color="0.15", linewidth=0.6, arrowsize=0.5)
+    panel.set(xlim=(first[0], first[-1]), ylim=(second[0], second[-1]))
+    return drawn

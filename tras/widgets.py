@@ -4,17 +4,14 @@ A slider acts when it is let go, a menu at once. A choice that gives no model le
 """
 
 import html
-import io
 import time
 
 import ipywidgets
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from tras import profile
 from tras.choice import EXAMPLES, OPTIONS, SIZES, Choice, ChoiceError
 from tras.explore import explore, numbers
-from tras.figures import styled
-from tras.figures_explore import outcome_figure
+from tras.figures_explore import outcome_figure, png
 
 _LABELS = {
     "frequency_unit": "frequencies in", "sampling_time": "sampling (s)", "duration": "data (s)", "noise": "noise (%)", "strength": "strength",
@@ -99,7 +96,7 @@ class Explorer:
         except ChoiceError as error:
             self.message.value = _note(f"{error} The picture and the numbers are still those of the last choice that gave a model.", "#b00020")
             return
-        self.picture.value = _png(outcome_figure(outcome.overlay, outcome.growth, outcome.spectrum))
+        self.picture.value = png(outcome_figure(outcome.overlay, outcome.growth, outcome.spectrum))
         self.table.value = numbers(outcome).to_html(border=0)
         self.outcome, seconds = outcome, time.perf_counter() - started
         size = f"N = {len(outcome.model.names_)} functions, {outcome.model.pairs_} snapshot pairs; fitted, judged and drawn in {seconds:.2f} s."
@@ -175,14 +172,6 @@ def _control(name, value):
         "horizon": lambda: ipywidgets.FloatSlider(value, min=1, max=60, step=1, readout_format=".0f", **late),
     }
     return makers[name]()
-
-
-@styled()
-def _png(figure):
-    target = io.BytesIO()
-    FigureCanvasAgg(figure)
-    figure.savefig(target, format="png", dpi=130)
-    return target.getvalue()
 
 
 def _note(text, colour):
