@@ -1,5 +1,8 @@
 """Shared recordings, made once: the real pipeline at a small size."""
 
+import os
+import shutil
+
 import numpy as np
 import pytest
 
@@ -16,6 +19,19 @@ def experiment(parameters):
     """100 s of closed loop, both kinds of input, cut into 5 s trajectories."""
     reference = tras.multisine(100, 0.01, [0.5, 1.2], [1.0, 2.5], np.random.default_rng(1))
     return tras.simulate_closed_loop(reference, 0.01, parameters).cut(501)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Debian's chromium, driven by Playwright; none, no test. (Not for the session: Playwright holds the event loop while it lives.)"""
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs Playwright, which environment.txt has: make setup")
+    chromium = shutil.which("chromium")
+    if not chromium:
+        pytest.skip("needs the browser chromium: apt-get install chromium")
+    with playwright.sync_playwright() as started:
+        launched = started.chromium.launch(executable_path=chromium, args=["--no-sandbox"] if os.geteuid() == 0 else [])
+        yield launched
+        launched.close()
 
 
 def linear_system(A, B, dt, *, trajectories=10, samples=60, seed=0):

@@ -420,18 +420,6 @@ def test_the_command_names_the_profile(small):
 # --- in a browser --------------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def browser():
-    playwright = pytest.importorskip("playwright.sync_api", reason="needs Playwright: uv pip install playwright (it is no dependency of the project)")
-    chromium = shutil.which("chromium")
-    if not chromium:
-        pytest.skip("needs Chromium: apt-get install chromium")
-    with playwright.sync_playwright() as started:
-        launched = started.chromium.launch(executable_path=chromium, args=["--no-sandbox"] if os.geteuid() == 0 else [])
-        yield launched
-        launched.close()
-
-
 @pytest.mark.parametrize("width", [390, 1200])
 def test_in_a_browser_without_network(browser, whole, shown, width):
     written = whole[0] / "browser.html"

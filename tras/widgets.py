@@ -119,9 +119,11 @@ class Explorer:
         """The range of the size is the dictionary's."""
         low, high, common, meaning = SIZES[self.controls["dictionary"].value]
         size = self.controls["size"]
-        with size.hold_trait_notifications():
-            value = common if usual else min(max(size.value, low), high)
-            size.min, size.max, size.value, size.tooltip = low, high, value, meaning
+        value = common if usual else min(max(size.value, low), high)
+        # The value is inside the range at every moment: the browser would correct it, and its correction would come back as a choice.
+        for name, new in (("value", value), ("max", high)) if value <= size.max else (("max", high), ("value", value)):
+            setattr(size, name, new)
+        size.tooltip = meaning
 
     def _enable(self):
         """Grey what has no effect on the present choice."""
