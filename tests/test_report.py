@@ -1,7 +1,6 @@
 """The report: nothing from the network, formulas as MathML, every number from a table, every sentence escaped; and in a browser."""
 
 import json
-import os
 import re
 import shutil
 import xml.etree.ElementTree as ElementTree
