@@ -121,6 +121,13 @@ def test_the_true_field_of_references_is_the_loop_at_its_balance(parameters):
     np.testing.assert_allclose(portraits.vector_field_of(("phi_ref", "psi_ref"))(start, reference), loop.states[0, 1] - start, atol=1e-9)
 
 
+def test_far_from_the_reference_the_torques_are_at_their_limits(parameters):
+    """Both angles a radian below the reference: the controller would like more than the rotors have."""
+    x = np.array([-0.7, 0.0, -0.5, 0.0])
+    expected = tras.vector_field(x, np.array([parameters.u_phi_limits[1], parameters.u_psi_limits[1]]), parameters)
+    np.testing.assert_allclose(portraits.vector_field_of(("phi_ref", "psi_ref"))(x, [0.3, 0.5]), expected, rtol=1e-12)
+
+
 def test_a_portrait_holds_truth_models_and_the_distance_between_them(outcome, parameters):
     models = portraits.compared(outcome)
     assert list(models) == ["Gaussian RBF", "mechanical"]
