@@ -139,11 +139,11 @@ def test_a_menu_changes_figure_numbers_and_what_can_be_set(page):
 
 def test_a_wrong_choice_is_answered_by_a_sentence(page):
     before, said = picture(page), numbers(page)
-    drag(page, "data (s)", -0.1)
+    drag(page, "duration (s)", -0.1)
     message(page).filter(has_text="cannot be simulated").wait_for()
     assert "raise it or the duration" in message(page).inner_text() and "Traceback" not in page.locator(".jp-Notebook").inner_text()
     assert (picture(page), numbers(page)) == (before, said)
-    drag(page, "data (s)", 0.3)
+    drag(page, "duration (s)", 0.3)
     changed(page, before)
 
 

@@ -172,7 +172,7 @@ def identify(choice, train):
     except LogarithmError as error:
         raise ChoiceError(f"There is no model: {error}") from error
     except np.linalg.LinAlgError as error:
-        raise ChoiceError("There is no model: equation (18) is singular for this dictionary. Choose field = coordinates, or fewer functions.") from error
+        raise ChoiceError("There is no model: equation (18) is singular for this dictionary. Take F from the columns of A (field = coordinates), or fewer functions.") from error
     except ValueError as error:
         raise ChoiceError(f"There is no model: {error}") from error
 

@@ -14,7 +14,7 @@ from tras.explore import explore, numbers
 from tras.figures_explore import outcome_figure, png
 
 _LABELS = {
-    "frequency_unit": "frequencies in", "sampling_time": "sampling (s)", "duration": "data (s)", "noise": "noise (%)", "strength": "strength",
+    "frequency_unit": "frequencies in", "sampling_time": "sampling (s)", "duration": "duration (s)", "noise": "noise (%)", "strength": "strength",
     "horizon": "horizon (s)", "nrmse_range": "range in (21)", "extrapolation": "beyond data", "regularization": "regularise", "field": "F from",
 }  # fmt: skip
 _WORDS = {
