@@ -104,36 +104,36 @@ def drag(page, label, share):
     page.mouse.up()
 
 
-def changed(page, before):
-    """Wait for another picture."""
+def eventually(page, holds):
+    """Wait until it holds: picture, numbers and message arrive one after the other."""
     for _ in range(PATIENCE // 100):
-        now = picture(page)
-        if now != before:
-            return now
+        if holds():
+            return
         page.wait_for_timeout(100)
-    raise AssertionError("the picture stayed as it was")
+    assert holds()
+
+
+def functions(page):
+    found = re.match(r"N = (\d+) functions", message(page).inner_text())
+    return int(found[1]) if found else None
 
 
 def test_make_lab_opens_the_explorer_and_it_shows_the_papers_choice(page):
     assert "/lab/tree/notebooks/explore.ipynb" in page.url
     assert "4.0589" in numbers(page) and "5.5889" in numbers(page)
-    assert "N = 9 functions" in message(page).inner_text()
+    assert functions(page) == 9
 
 
 def test_a_slider_changes_figure_and_numbers(page):
     before, said = picture(page), numbers(page)
     drag(page, "size", 0.2)
-    changed(page, before)
-    assert numbers(page) != said
-    assert int(re.search(r"N = (\d+)", message(page).inner_text())[1]) > 20
+    eventually(page, lambda: picture(page) != before and numbers(page) != said and (functions(page) or 0) > 20)
 
 
 def test_a_menu_changes_figure_numbers_and_what_can_be_set(page):
     before, said = picture(page), numbers(page)
     row(page, "dictionary").locator("select").select_option("monomials")
-    changed(page, before)
-    assert numbers(page) != said
-    assert "N = 28 functions" in message(page).inner_text()
+    eventually(page, lambda: picture(page) != before and numbers(page) != said and functions(page) == 28)
     assert row(page, "width").locator(".noUi-target").get_attribute("disabled") is not None
 
 
@@ -144,7 +144,7 @@ def test_a_wrong_choice_is_answered_by_a_sentence(page):
     assert "raise it or the duration" in message(page).inner_text() and "Traceback" not in page.locator(".jp-Notebook").inner_text()
     assert (picture(page), numbers(page)) == (before, said)
     drag(page, "duration (s)", 0.3)
-    changed(page, before)
+    eventually(page, lambda: picture(page) != before and functions(page) == 28)
 
 
 def test_the_choice_is_kept_as_a_parameter_file(page, checkout):
