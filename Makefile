@@ -49,7 +49,7 @@ ROBUSTNESS_DRAWN := robustness_noise robustness_length eigenfunctions parameters
 # The paper's own part is what `make paper` builds; the studies beyond it belong to `make all`. A study needs one name in STUDIES, one
 # list of outputs in STUDY_OUTPUTS and one line `$(eval $(call stage,...))` at the end.
 PAPER_STAGES := 01_data_generation 02_identification 03_validation 04_figures
-STUDIES := 05_robustness 06_readings 07_comparison 08_claims
+STUDIES := 05_robustness 06_readings 07_comparison 08_claims 09_pictures
 STAGES := $(PAPER_STAGES) $(STUDIES)
 OUT_01 := $(addprefix $(DATA)/,train.nc validation_multisine.nc validation_steps.nc validation_chirp.nc)
 OUT_02 := $(addprefix $(DATA)/,held_out.nc identification.csv spectrum.csv $(MODELS:%=models/%.npz))
@@ -60,9 +60,10 @@ OUT_06 := $(DATA)/readings.csv $(foreach kind,pdf svg png csv,$(FIGURES)/reading
 OUT_07 := $(addprefix $(DATA)/,comparison.csv comparison_tuning.csv comparison_data.csv) \
   $(foreach kind,pdf svg png csv,$(addprefix $(FIGURES)/,comparison_horizon.$(kind) comparison_data.$(kind) comparison_pareto.$(kind)))
 OUT_08 := $(DATA)/claims.csv
+OUT_09 := $(addprefix $(FIGURES)/,animation.gif animation.csv $(foreach kind,pdf svg png csv,portrait.$(kind)))
 
 PAPER_OUTPUTS := $(OUT_01) $(OUT_02) $(OUT_03) $(OUT_04)
-STUDY_OUTPUTS := $(OUT_05) $(OUT_06) $(OUT_07) $(OUT_08)
+STUDY_OUTPUTS := $(OUT_05) $(OUT_06) $(OUT_07) $(OUT_08) $(OUT_09)
 
 STAMPS := $(STAGES:%=$(BUILD)/%.ipynb)
 KEYS := $(STAGES:%=$(BUILD)/%.key)
@@ -126,8 +127,8 @@ test: $(READY) ## unit tests, then every notebook of the small profile rerun and
 	  && $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) build/smoke/identify/identify.ipynb || status=1; \
 	exit $$status
 
-lab: $(READY) ## open the notebooks in JupyterLab
-	$(PY) -m jupyterlab notebooks/
+lab: $(READY) ## open the explorer in JupyterLab, the other notebooks beside it
+	$(PY) -m jupyterlab --ServerApp.root_dir=. $(if $(filter 0,$(shell id -u)),--allow-root) notebooks/explore.ipynb
 
 lock: ## resolve environment.in anew into environment.txt (needs uv; UPGRADE=1 for newer versions)
 	@command -v uv >/dev/null || { echo "make lock needs uv, which was not found on PATH: python3 -m pip install uv." >&2; exit 1; }
@@ -216,3 +217,4 @@ $(eval $(call stage,05_robustness,$(OUT_05),01_data_generation))
 $(eval $(call stage,06_readings,$(OUT_06),))
 $(eval $(call stage,07_comparison,$(OUT_07),01_data_generation))
 $(eval $(call stage,08_claims,$(OUT_08),02_identification 03_validation 05_robustness 06_readings 07_comparison))
+$(eval $(call stage,09_pictures,$(OUT_09),))

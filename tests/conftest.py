@@ -1,5 +1,8 @@
 """Shared recordings, made once: the real pipeline at a small size."""
 
+import os
+import shutil
+
 import numpy as np
 import pytest
 
@@ -28,6 +31,19 @@ def cluster():
         cluster = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, processes=True)
     with cluster:
         yield cluster
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Debian's chromium, driven by Playwright; none, no test. (Not for the session: Playwright holds the event loop while it lives.)"""
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs Playwright, which environment.txt has: make setup")
+    chromium = shutil.which("chromium")
+    if not chromium:
+        pytest.skip("needs the browser chromium: apt-get install chromium")
+    with playwright.sync_playwright() as started:
+        launched = started.chromium.launch(executable_path=chromium, args=["--no-sandbox"] if os.geteuid() == 0 else [])
+        yield launched
+        launched.close()
 
 
 def linear_system(A, B, dt, *, trajectories=10, samples=60, seed=0):

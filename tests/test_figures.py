@@ -14,7 +14,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from tras import drawings, figures, figures_readings, rig
+from tras import drawings, figures, figures_explore, figures_readings, rig
 
 FIGURES = Path(__file__).parent.parent / "figures"
 
@@ -51,6 +51,7 @@ DATA_FIGURES = {
     "horizon": figures.horizon_figure,
     "readings_effects": figures_readings.effects_figure,
     "readings_nearest": partial(figures_readings.nearest_figure, within=0.25),
+    "portrait": figures_explore.portrait_figure,
 }
 CASES = pytest.mark.parametrize("case", [rig_case, method_case, *(redrawn(draw, name) for name, draw in DATA_FIGURES.items())])
 

@@ -1,7 +1,6 @@
 """The report: nothing from the network, formulas as MathML, every number from a table, every sentence escaped; and in a browser."""
 
 import json
-import os
 import re
 import shutil
 import xml.etree.ElementTree as ElementTree
@@ -418,18 +417,6 @@ def test_the_command_names_the_profile(small):
 
 
 # --- in a browser --------------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def browser():
-    playwright = pytest.importorskip("playwright.sync_api", reason="needs Playwright: uv pip install playwright (it is no dependency of the project)")
-    chromium = shutil.which("chromium")
-    if not chromium:
-        pytest.skip("needs Chromium: apt-get install chromium")
-    with playwright.sync_playwright() as started:
-        launched = started.chromium.launch(executable_path=chromium, args=["--no-sandbox"] if os.geteuid() == 0 else [])
-        yield launched
-        launched.close()
 
 
 @pytest.mark.parametrize("width", [390, 1200])

@@ -10,11 +10,12 @@ import matplotlib.image
 import numpy as np
 import pandas as pd
 import pytest
+from PIL import Image
 
 import tras
 from tras import artefacts, verification
 
-FILES = [Path(name) for name in ("data/table.csv", "data/long.csv", "data/run.nc", "data/model.npz", "figures/plot.png", "figures/plot.pdf")]
+FILES = [Path(name) for name in ("data/table.csv", "data/long.csv", "data/run.nc", "data/model.npz", "figures/plot.png", "figures/plot.pdf", "figures/film.gif")]
 TABLE = "name,count,value\nfirst,3,1.5\nsecond,4,\nthird,5,-2e-05\n"
 rng = np.random.default_rng(0)
 RUN = rng.normal(size=(900, 3))
@@ -34,6 +35,7 @@ def blessed(tmp_path_factory):
         write_run(RUN)
         write_model()
         write_picture(0)
+        write_film()
         Path("figures/plot.pdf").write_bytes(b"%PDF")
         assert verification.bless(FILES, Path("reference")) == 0
     return folder
@@ -63,6 +65,15 @@ def write_picture(place, size=200):
     picture = np.ones((size, 240, 3))
     picture[place + 40 : place + 44, 20:220] = 0
     matplotlib.image.imsave("figures/plot.png", picture)
+
+
+def write_film(last=40):
+    """Nine frames with a bar; ``last`` is where it stands in the last one."""
+    frames = [np.full((80, 60), 255, dtype=np.uint8) for _ in range(9)]
+    for k, frame in enumerate(frames):
+        frame[last if k == 8 else 5 * k :][:12] = 0
+    first, *others = map(Image.fromarray, frames)
+    first.save("figures/film.gif", save_all=True, append_images=others, duration=100, loop=0)
 
 
 def change(path, old, new):
@@ -133,6 +144,9 @@ CHANGES = {
     "picture moved": (lambda: write_picture(60), "figures/plot.png", 0, "looks different .*RMS [2-9]"),
     "picture of another size": (lambda: write_picture(0, 300), "figures/plot.png", 0, "looks different .*240x300 pixels for 240x200"),
     "picture damaged": (lambda: Path("figures/plot.png").write_bytes(b"junk"), "figures/plot.png", 1, "UNREADABLE .*plot.png cannot be read"),
+    "film, other bytes": (lambda: Path("figures/film.gif").open("ab").write(b" "), "figures/film.gif", 0, "looks the same .*RMS 0.00"),
+    "film, its last frame": (lambda: write_film(0), "figures/film.gif", 0, "looks different .*RMS [0-9]+"),
+    "film damaged": (lambda: Path("figures/film.gif").write_bytes(b"junk"), "figures/film.gif", 1, "UNREADABLE .*film.gif cannot be read"),
     "pdf": (lambda: Path("figures/plot.pdf").write_bytes(b"%PDF-2"), "figures/plot.pdf", 0, "other bytes .*see plot.png and plot.csv"),
     "pdf, empty": (lambda: Path("figures/plot.pdf").write_bytes(b""), "figures/plot.pdf", 1, "UNREADABLE .*it is empty"),
     "missing": (lambda: Path("data/run.nc").unlink(), "data/run.nc", 1, "MISSING .*it is not there: make all"),
@@ -200,7 +214,7 @@ def test_bless_replaces_what_changed_and_removes_what_went(project, capsys):
     change("data/table.csv", "1.5", "2.5")
     capsys.readouterr()
     assert verification.main(["--bless", *map(str, FILES[:2])]) == 0
-    assert "5 new or changed: data/model.npz, data/run.nc, data/table.csv" in capsys.readouterr().out
+    assert "6 new or changed: data/model.npz, data/run.nc, data/table.csv" in capsys.readouterr().out
     assert sorted(path.name for path in Path("reference").rglob("*.*")) == ["README.md", "long.csv", "table.csv"]
     assert verdicts(capsys, FILES[:2])[0] == 0
 

@@ -1,7 +1,7 @@
 """What is in an artefact, for comparison: columns of numbers, or a small grey picture; and their copies in `reference/`.
 
 A copy is text or a small picture: a table (.csv) as it is, thinned if it is long; a recording (.nc) as a thinned table; a model (.npz)
-with one line a number, long arrays thinned; a picture (.png) in grey at a quarter of the size.
+with one line a number, long arrays thinned; a picture (.png) in grey at a quarter of the size, of an animation (.gif) some frames, one below the other.
 """
 
 import collections
@@ -16,6 +16,8 @@ from tras.files import replacing
 WHOLE = 100_000  # bytes; the copy of a longer table is thinned
 ROWS = 250  # rows, or elements of an array, that a thinned copy keeps
 SMALLER = 4  # pixels to one, each way
+PICTURES = (".png", ".gif")
+FRAMES = 5  # of an animation, from the first to the last
 
 
 # --- artefacts as columns of numbers ---------------------------------------------------------------------------------------------
@@ -105,14 +107,16 @@ def text(value):
 
 def copy_of(artefact, reference):
     """Where the copy of an artefact lies in the folder ``reference``, None for a kind of which only the checksum is kept."""
-    if artefact.suffix not in (".csv", ".nc", ".npz", ".png"):
+    if artefact.suffix not in (".csv", ".nc", ".npz", *PICTURES):
         return None
+    if artefact.suffix == ".gif":
+        return reference / artefact.with_name(artefact.name + ".png")
     return reference / (artefact if artefact.suffix in (".csv", ".png") else artefact.with_name(artefact.name + ".csv"))
 
 
 def write_copy(artefact, copy):
     """Write the copy of an artefact; `ValueError` if the artefact cannot be read."""
-    if artefact.suffix == ".png":
+    if artefact.suffix in PICTURES:
         import matplotlib.image
 
         with replacing(copy) as temporary:
@@ -171,14 +175,27 @@ def read_small(copy):
 
 
 def _levels(path):
-    """Grey, 0 to 1, of every pixel; transparent is white."""
+    """Grey, 0 to 1, of every pixel; transparent is white. Of an animation some frames, one below the other."""
     import matplotlib.image
 
     try:
-        levels = matplotlib.image.imread(path).astype(float)
+        levels = _some_frames(path) if path.suffix == ".gif" else matplotlib.image.imread(path).astype(float)
     except Exception as error:  # a damaged file makes its reader raise anything
         raise ValueError(f"{path} cannot be read ({error})") from error
     if levels.ndim == 2:
         return levels
     opaque = levels[..., 3] if levels.shape[2] == 4 else 1.0
     return 1 - opaque * (1 - levels[..., :3].mean(axis=2))
+
+
+def _some_frames(path):
+    """(FRAMES * height, width, 3), 0 to 1."""
+    import numpy as np
+    from PIL import Image
+
+    frames = []
+    with Image.open(path) as film:
+        for number in np.linspace(0, film.n_frames - 1, FRAMES).round().astype(int).tolist():
+            film.seek(number)
+            frames.append(np.asarray(film.convert("RGB")) / 255)
+    return np.concatenate(frames)

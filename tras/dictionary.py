@@ -385,8 +385,10 @@ def _without(word, i, place):
 
 
 def _lattice(channels, order):
-    """Whole vectors k with ``|k|_1 <= order``."""
-    return [k for k in itertools.product(range(-order, order + 1), repeat=channels) if sum(map(abs, k)) <= order]
+    """Whole vectors k with ``|k|_1 <= order``, in lexicographic order. (Those that are too long are never made: they would be (2 order + 1)^channels.)"""
+    if channels == 0:
+        return [()]
+    return [(first, *rest) for first in range(-order, order + 1) for rest in _lattice(channels - 1, order - abs(first))]
 
 
 def _combination(k, channels):

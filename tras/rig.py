@@ -99,11 +99,10 @@ def rig_geometry(phi, psi, *, l_m=0.202, l_t=0.216, l_cw=0.25):
     parts |= _angle_lines(phi, psi, l_m) | _torque_lines(phi, psi, l_m, l_t)
 
     # A picometre is far below anything drawn; rounding keeps noise like cos(pi/2) = 6e-17 and "-0" out of the tables.
-    rows = [
-        pd.DataFrame({"part": name, "point": np.arange(len(p)), **dict(zip("xyz", np.round(p, 12).T + 0.0))})
-        for name, p in parts.items()
-    ]
-    return pd.concat(rows, ignore_index=True)
+    lengths = [len(points) for points in parts.values()]
+    places = np.round(np.concatenate(list(parts.values())), 12) + 0.0
+    table = {"part": np.repeat(np.array(list(parts), dtype=object), lengths), "point": np.concatenate([np.arange(k) for k in lengths])}
+    return pd.DataFrame({**table, **dict(zip("xyz", places.T))})
 
 
 def project(points, camera=CAMERA):

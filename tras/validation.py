@@ -112,7 +112,12 @@ def error_growth(model, recording, seconds, *, every=1):
         are left out; NaN if all are. The range is that of all windows.
     """
     windows = recording.cut(round(seconds / recording.dt) + 1)
-    true, predicted = windows.states, model.predict(windows)
+    return growth_of(windows, model.predict(windows), every=every)
+
+
+def growth_of(windows, predicted, *, every=1):
+    """As `error_growth`, of windows and their predictions (windows, samples, n)."""
+    true = windows.states
     span = np.ptp(true, axis=(0, 1))
     kept = ~metrics.diverged(true, predicted, span=span)
     times = np.arange(every, true.shape[1], every)
@@ -129,11 +134,16 @@ def error_growth(model, recording, seconds, *, every=1):
 def typical_window(model, recording, seconds):
     """Index of the window whose mean NRMSE of the two angles is the median one: neither the best picture nor the worst."""
     windows = recording.cut(round(seconds / recording.dt) + 1)
+    return typical_of(windows, model.predict(windows))
+
+
+def typical_of(windows, predicted):
+    """As `typical_window`, of windows and their predictions (windows, samples, n)."""
     i, span = [], np.ptp(windows.states, axis=(0, 1))
     for angle, channel in ANGLES.items():
         with _named(angle):
             i.append(_index(windows, channel, span))
-    true, predicted = windows.states[..., i], model.predict(windows)[..., i]
+    true, predicted = windows.states[..., i], predicted[..., i]
     error = np.sqrt(np.mean((true - predicted) ** 2, axis=1)) / span[i]
     error = np.nan_to_num(error.mean(axis=1), nan=np.inf)
     return int(np.argsort(error, kind="stable")[(len(error) - 1) // 2])

@@ -121,7 +121,7 @@ def compare(artefact, expected, reference):
             return Finding(artefact, "other bytes", f"see {artefact.stem}.png and {artefact.stem}.csv")
         if not copy.is_file():
             return Finding(artefact, "MISSING", f"the reference has lost {copy}: git checkout {copy}")
-        return _compare_looks(artefact, copy) if artefact.suffix == ".png" else _compare_numbers(artefact, copy)
+        return _compare_looks(artefact, copy) if artefact.suffix in holding.PICTURES else _compare_numbers(artefact, copy)
     except (OSError, ValueError) as error:
         return Finding(artefact, "UNREADABLE", str(error))
 

@@ -1,0 +1,171 @@
+"""One choice of experiment, model and judgement: what the explorer's controls hold, and what a parameter file can hold of it.
+
+The defaults are the paper's: references as input, two Gaussians, least squares, equation (18), 500 s at 0.01 s, windows of 6 s.
+"""
+
+import math
+from dataclasses import asdict, dataclass, fields, replace
+
+# field -> choices, the default first, each with what it means
+OPTIONS = {
+    "input": {"reference": "the references in rad, as the paper says", "torque": "the torques in N m that act on the rig"},
+    "frequency_unit": {"rad/s": "of 0.2 and 0.8, the highest frequencies", "Hz": "the same numbers, 2 pi times higher"},
+    "dictionary": {
+        "gaussian": "Gaussians at random centres beside constant, states and inputs",
+        "linear": "constant, states and inputs alone",
+        "monomials": "products of states and inputs",
+        "exponentials": "growing and falling exponentials of all channels",
+        "fourier": "cosines and sines of all channels",
+        "mechanical": "what the equations of motion of a mechanical system allow",
+    },
+    "state": {"four_states": "angles and rates are known", "angles": "the two angles alone are known; give delays"},
+    "predictor": {
+        "vector_field": "integrate F, as the paper does",
+        "one_step": "apply K, lift again at each sample",
+        "lifted_linear": "lift once, then z+ = A z + B u",
+    },
+    "field": {"least_squares": "F by equation (18), as the paper does", "coordinates": "F from the states' own columns of A"},
+    "regularization": {
+        "none": "plain least squares, as the paper does",
+        "shrink": "draws the coefficients towards the linear model",
+        "tikhonov": "draws all coefficients towards no change",
+        "truncated": "leaves the smallest singular values out",
+        "sparse": "leaves the functions that contribute least out",
+    },
+    "extrapolation": {"functions": "the functions are trusted beyond the data", "linear": "beyond the data the model goes on linearly"},
+    "nrmse_range": {"validation_set": "of the whole validation recording", "trajectory": "of each window by itself"},
+}
+# field -> (lowest, highest, unit)
+RANGES = {
+    "duration": (1.0, 2000.0, "s"),
+    "sampling_time": (0.005, 0.5, "s"),
+    "seed": (1, 10_000, ""),
+    "noise": (0.0, 20.0, "% of each state's range"),
+    "width": (0.05, 20.0, "in scaled channels"),
+    "delays": (0, 10, "samples"),
+    "strength": (0.0, 1.0, ""),
+    "horizon": (0.05, 100.0, "s"),
+}
+# dictionary -> (lowest and highest size, a usual one, what the size is)
+SIZES = {
+    "gaussian": (1, 200, 2, "the number of centres"),
+    "linear": (1, 200, 1, "without meaning"),
+    "monomials": (1, 5, 2, "the degree"),
+    "exponentials": (1, 2, 1, "the order"),
+    "fourier": (1, 2, 1, "the order"),
+    "mechanical": (1, 12, 8, "the degree in pitch"),
+}
+
+
+class ChoiceError(ValueError):
+    """A choice that cannot be made, or that gives no model."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Everything that the explorer lets one choose, checked.
+
+    Parameters
+    ----------
+    input, frequency_unit, dictionary, state, predictor, field, regularization, extrapolation, nrmse_range : str
+        See `OPTIONS`.
+    duration, sampling_time : float
+        Of the training recording, in s.
+    seed : int
+        Of the excitation, the noise and the random centres; validation has the next one.
+    noise : float
+        On the states of the training recording, in percent of each one's range.
+    size : int
+        Centres, degree or order; see `SIZES`.
+    width : float
+        Of the Gaussians, in channels scaled to [-1, 1].
+    delays : int
+        Earlier samples that count as states.
+    strength : float
+        Of the regularisation; see `tras.regularization`.
+    horizon : float
+        Length of the validation windows, in s.
+
+    Raises
+    ------
+    ChoiceError
+        (a ValueError) For a value that is not allowed, in one sentence.
+
+    Examples
+    --------
+    >>> Choice(dictionary="monomials", size=9)
+    Traceback (most recent call last):
+        ...
+    tras.choice.ChoiceError: size is 9: with dictionary = monomials it is the degree, 1 to 5.
+    """
+
+    input: str = "reference"
+    frequency_unit: str = "rad/s"
+    duration: float = 500.0
+    sampling_time: float = 0.01
+    seed: int = 1
+    noise: float = 0.0
+    dictionary: str = "gaussian"
+    size: int = 2
+    width: float = 1.0
+    state: str = "four_states"
+    delays: int = 0
+    predictor: str = "vector_field"
+    field: str = "least_squares"
+    regularization: str = "none"
+    strength: float = 0.01
+    extrapolation: str = "functions"
+    horizon: float = 6.0
+    nrmse_range: str = "validation_set"
+
+    def __post_init__(self):
+        for name, allowed in OPTIONS.items():
+            if getattr(self, name) not in allowed:
+                raise ChoiceError(f"{name} is {getattr(self, name)!r}: choose one of {', '.join(allowed)}.")
+        for name, (low, high, unit) in RANGES.items():
+            _check_number(name, getattr(self, name), low, high, unit, whole=isinstance(getattr(type(self), name), int))
+        low, high, _, meaning = SIZES[self.dictionary]
+        if isinstance(self.size, bool) or not isinstance(self.size, int) or not low <= self.size <= high:
+            raise ChoiceError(f"size is {self.size!r}: with dictionary = {self.dictionary} it is {meaning}, {low} to {high}.")
+
+    def replaced(self, **changes):
+        """A copy with other values, checked."""
+        return replace(self, **changes)
+
+    def as_dict(self):
+        """Name -> value, in order."""
+        return asdict(self)
+
+
+def choice_of(values):
+    """A `Choice` from a mapping, such as a section of a parameter file; what is left out has its default."""
+    known = [field.name for field in fields(Choice)]
+    for name in values:
+        if name not in known:
+            raise ChoiceError(f"there is no {name!r} to choose: there are {', '.join(known)}.")
+    return Choice(**values)
+
+
+def _check_number(name, value, low, high, unit, whole):
+    number = isinstance(value, int if whole else (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    if not number or not low <= value <= high:
+        kind = "a whole number" if whole else "a number"
+        raise ChoiceError(f"{name} is {value!r}: give {kind} from {low:g} to {high:g}{' ' + unit if unit else ''}.")
+
+
+_CUBIC = {"input": "torque", "dictionary": "monomials", "size": 3, "field": "coordinates"}
+_MECHANICAL = {"input": "torque", "dictionary": "mechanical", "size": 8}
+
+# What is worth a look, in the order of explore.ipynb
+EXAMPLES = {
+    "the paper's text": Choice(),
+    "nearest to the paper's numbers": Choice(nrmse_range="trajectory"),
+    "torques as input": Choice(input="torque"),
+    "torques, cubic terms": Choice(**_CUBIC),
+    "torques, functions for mechanics": Choice(**_MECHANICAL, field="coordinates", extrapolation="linear"),
+    "the same, F by equation (18)": Choice(**_MECHANICAL),
+    "cubic terms, 100 s of data": Choice(**_CUBIC, duration=100.0),
+    "the same, linear beyond the data": Choice(**_CUBIC, duration=100.0, extrapolation="linear"),
+    "two angles and one delay": Choice(state="angles", delays=1),
+    "functions for mechanics, 1 % noise": Choice(**_MECHANICAL, noise=1.0),
+}

@@ -1,0 +1,140 @@
+"""Pictures of one chosen model: what the explorer shows, and the vector field beside the true one. See `tras.figures`."""
+
+import io
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from tras.figures import LINEAR, MODEL, TRUTH, new_figure, require, styled
+
+_ROLES = {"koopman": MODEL | {"label": "Koopman"}, "linear": LINEAR | {"label": "linear model"}}
+
+
+@styled()
+def outcome_figure(overlay, growth, spectrum):
+    """One model in four panels: truth and prediction of both angles, error against horizon, spectrum of K with the unit circle.
+
+    Parameters
+    ----------
+    overlay : pandas.DataFrame
+        ``time`` (s) and in rad ``phi_true, phi_koopman, phi_linear`` and the same of ``psi``; a column of NaN is left out.
+    growth : pandas.DataFrame
+        ``model`` ("Koopman" or "linear"), ``angle, time`` (s), ``nrmse`` (%).
+    spectrum : pandas.DataFrame
+        ``model, real, imag`` of the eigenvalues of K.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Two columns wide: it is for the screen.
+    """
+    require(overlay, "overlay", ["time", *(f"{q}_{who}" for q in ("psi", "phi") for who in ("true", "koopman", "linear"))])
+    require(growth, "growth", ["model", "angle", "time", "nrmse"])
+    require(spectrum, "spectrum", ["model", "real", "imag"])
+    figure = Figure(figsize=(7.2, 3.9))  # places are given: to work them out takes longer than the fit
+    room = {"left": 0.08, "right": 0.985, "bottom": 0.115, "top": 0.9, "hspace": 0.48, "wspace": 0.24}
+    (yaw, error), (pitch, plane) = figure.subplots(2, 2, gridspec_kw=room)
+    for panel, angle, label in ((yaw, "psi", r"yaw $\psi$ (rad)"), (pitch, "phi", r"pitch $\phi$ (rad)")):
+        _overlay_panel(panel, overlay, angle, label)
+    _error_panel(error, growth)
+    _spectrum_panel(plane, spectrum)
+    figure.legend(*yaw.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(0.07, 0.995), ncols=3)
+    return figure
+
+
+@styled()
+def png(figure, dpi=130):
+    """A figure as the bytes of a PNG, for a notebook or a widget."""
+    target = io.BytesIO()
+    FigureCanvasAgg(figure)
+    figure.savefig(target, format="png", dpi=dpi, metadata={"Software": None})
+    return target.getvalue()
+
+
+def _overlay_panel(panel, overlay, angle, label):
+    true = overlay[f"{angle}_true"]
+    panel.plot(overlay["time"], true, **TRUTH, label="truth", zorder=3)
+    for who, style in _ROLES.items():
+        if overlay[f"{angle}_{who}"].notna().any():
+            panel.plot(overlay["time"], overlay[f"{angle}_{who}"], **style)
+    # A prediction that runs away must not squeeze the truth to a line.
+    margin = 0.6 * max(np.ptp(true), 0.05)
+    low, high = panel.get_ylim()
+    panel.set_ylim(max(low, true.min() - margin), min(high, true.max() + margin))
+    panel.set(xlabel="time (s)", ylabel=label, xlim=(overlay["time"].min(), overlay["time"].max()))
+
+
+def _error_panel(panel, growth):
+    for (name, angle), line in growth.groupby(["model", "angle"], sort=False):
+        panel.plot(line["time"], line["nrmse"], **_ROLES[name.lower()] | {"linewidth": 1.6 if angle == "yaw" else 0.8})
+    early = growth[growth["nrmse"] > 0].groupby(["model", "angle"])["nrmse"].quantile(0.1)
+    if len(early):
+        panel.set_yscale("log")
+        panel.set_ylim(bottom=max(0.5 * early.min(), 1e-6))  # the first instants of a good model would squeeze the rest
+        panel.yaxis.set_major_formatter("{x:g}")
+        panel.yaxis.set_minor_formatter("")
+    panel.set_title("all windows (thick: yaw, thin: pitch)", fontsize=8.6)
+    panel.set(xlabel="time ahead (s)", ylabel="error (% of range)", xlim=(0, growth["time"].max()))
+
+
+def _spectrum_panel(panel, spectrum):
+    circle = np.linspace(0, 2 * np.pi, 2001)
+    panel.plot(np.cos(circle), np.sin(circle), color="0.6", linestyle="-", linewidth=0.7)
+    markers = {"Koopman": {"marker": "o", "markerfacecolor": "none", "markersize": 5}, "linear": {"marker": "x", "markersize": 4}}
+    for name, group in spectrum.groupby("model", sort=False):
+        panel.plot(group["real"], group["imag"], linestyle="none", color=_ROLES[name.lower()]["color"], **markers[name])
+    left, right = min(spectrum["real"].min(), 1), max(spectrum["real"].max(), 1)
+    reach = max(1.25 * spectrum["imag"].abs().max(), 0.6 * (right - left), 1e-3)
+    side = 0.08 * (right - left) + 0.25 * reach
+    panel.set(xlabel="real part", ylabel="imaginary part", xlim=(left - side, right + side), ylim=(-reach, reach))
+    panel.set_title("eigenvalues of $K$, and the unit circle", fontsize=8.6)
+
+
+@styled()
+def portrait_figure(table):
+    """The true vector field and identified ones, a row for each plane: lines follow the field, the colour is the error of the acceleration.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        From `tras.portraits.portrait`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    require(table, "table", ["model", "plane", "angle", "rate", "d_angle", "d_rate", "error"])
+    names = list(dict.fromkeys(table["model"]))
+    planes = {"pitch": (r"pitch $\phi$ (rad)", r"$\dot\phi$ (rad/s)"), "yaw": (r"yaw $\psi$ (rad)", r"$\dot\psi$ (rad/s)")}
+    figure, axes = new_figure(height=3.5, rows=2, columns=len(names), squeeze=False, sharex="row", sharey="row")
+    errors = table["error"][table["model"] != "true"]
+    norm = LogNorm(max(errors.quantile(0.02), 1e-6), max(errors.max(), 2e-6)) if len(errors) else None
+    coloured = None
+    for row, (plane, (across, up)) in zip(axes, planes.items()):
+        for panel, name in zip(row, names):
+            drawn = _portrait_panel(panel, table[(table["model"] == name) & (table["plane"] == plane)], norm if name != "true" else None)
+            coloured = drawn or coloured
+            panel.set_xlabel(across)
+        row[0].set_ylabel(up)
+    for panel, name in zip(axes[0], names):
+        panel.set_title(name)
+    if coloured:
+        look = {"location": "bottom", "shrink": 0.9, "aspect": 35, "format": "{x:g}"}  # no powers: an index would be too small to read
+        bar = figure.colorbar(coloured, ax=axes.ravel().tolist(), label="error of the acceleration (rad/s²)", **look)
+        bar.ax.minorticks_off()
+    return figure
+
+
+def _portrait_panel(panel, cells, norm):
+    first, second = (np.unique(cells[name]) for name in ("angle", "rate"))
+    fields = {name: cells[name].to_numpy().reshape(len(second), len(first)) for name in ("d_angle", "d_rate", "error")}
+    drawn = None
+    if norm:
+        drawn = panel.pcolormesh(first, second, np.maximum(fields["error"], norm.vmin), norm=norm, cmap="YlOrRd", shading="gouraud", rasterized=True)
+    # Even steps to the last bit, as streamplot wants them.
+    even = [np.linspace(values[0], values[-1], len(values)) for values in (first, second)]
+    panel.streamplot(*even, fields["d_angle"], fields["d_rate"], density=0.55, color="0.15", linewidth=0.6, arrowsize=0.5)
+    panel.set(xlim=(first[0], first[-1]), ylim=(second[0], second[-1]))
+    return drawn

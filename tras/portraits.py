@@ -1,0 +1,132 @@
+"""The identified vector field beside the true one, in two planes of the state space. The table behind the phase portraits.
+
+In each plane one angle and its rate vary over the range of the training data while everything else is held (`PLANES`) and the inputs are zero.
+With torques the truth is the plant itself. With references it is the plant with the controller in the loop, whose integrators just hold the balance
+at the reference: they are no states of the model, so there is no other truth in these coordinates.
+"""
+
+import numpy as np
+import pandas as pd
+
+from tras.choice import ChoiceError
+from tras.closed_loop import PID
+from tras.explore import identify, training
+from tras.plant import STATE_NAMES, TORQUE_NAMES, PlantParameters, vector_field
+
+NAMES = {
+    "gaussian": "Gaussian RBF", "linear": "linear", "monomials": "monomials", "exponentials": "exponentials", "fourier": "Fourier",
+    "mechanical": "mechanical",
+}  # fmt: skip
+# plane -> (the angle, its rate, what the other two states are held at)
+PLANES = {
+    "pitch": ("phi", "phidot", {"psi": 0.0, "psidot": 0.0}),
+    "yaw": ("psi", "psidot", {"phi": 0.8, "phidot": 0.0}),  # rad: the inertia of yaw is half of that at level beam
+}
+
+
+def has_field(model):
+    """Whether `portrait` can show a model: the four states, no delays, and a vector field."""
+    return model.predictor == "vector_field" and not model.delays and model.state_names_ == STATE_NAMES
+
+
+def compared(outcome):
+    """Two models whose fields are worth a look beside the truth: the chosen one and the one made for mechanics, as far as there are such.
+
+    In their place comes a linear one, from data without noise if need be.
+
+    Parameters
+    ----------
+    outcome : tras.explore.Outcome
+
+    Returns
+    -------
+    dict of str to KoopmanModel
+        One or two, by the names of their dictionaries.
+    """
+    choice = outcome.choice.replaced(state="four_states", delays=0, predictor="vector_field", regularization="none")
+    mechanical = choice.replaced(dictionary="mechanical", size=8, field="coordinates", extrapolation="functions")
+    linear = choice.replaced(dictionary="linear")
+    found = {NAMES[outcome.choice.dictionary]: outcome.model} if has_field(outcome.model) else {}
+    for other in (mechanical, linear, linear.replaced(noise=0.0)):
+        if len(found) < 2 and NAMES[other.dictionary] not in found:
+            try:
+                found[NAMES[other.dictionary]] = identify(other, training(other))
+            except ChoiceError:
+                pass
+    return found
+
+
+def portrait(models, *, points=25):
+    """The fields on a grid, and how far the identified ones are off.
+
+    Parameters
+    ----------
+    models : dict of str to KoopmanModel
+        Name -> model with `has_field`; all with the same inputs.
+    points : int
+        In each direction.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns ``model`` ("true" first), ``plane`` ("pitch" or "yaw"), ``angle`` (rad), ``rate`` (rad/s), their derivatives ``d_angle`` (rad/s) and
+        ``d_rate`` (rad/s^2), and ``error`` (rad/s^2): the identified minus the true ``d_rate``, absolute.
+
+    Raises
+    ------
+    ValueError
+        If there is no model, one has no field in these coordinates, or they have different inputs.
+    """
+    for name, model in models.items():
+        if not has_field(model):
+            raise ValueError(f"{name}: only a model of the four states without delays, with predictor = vector_field, has a field to show.")
+    if len({model.input_names_ for model in models.values()}) != 1:
+        raise ValueError("models have different inputs, or there are none; give models of the same inputs.")
+    reference = next(iter(models.values()))
+    true = vector_field_of(reference.input_names_)
+    parts = []
+    for plane, (angle, rate, held) in PLANES.items():
+        x = _grid(reference, angle, rate, held, points)
+        u = np.zeros((len(x), len(reference.input_names_)))
+        i, j = STATE_NAMES.index(angle), STATE_NAMES.index(rate)
+        truth = true(x, u)
+        for name, field in {"true": truth, **{name: model.vector_field(x, u) for name, model in models.items()}}.items():
+            columns = {"angle": x[:, i], "rate": x[:, j], "d_angle": field[:, i], "d_rate": field[:, j], "error": np.abs(field[:, j] - truth[:, j])}
+            parts.append(pd.DataFrame({"model": name, "plane": plane, **columns}))
+    return pd.concat(parts, ignore_index=True)
+
+
+def vector_field_of(input_names, parameters=None):
+    """The true field for these inputs: (..., 4), (..., 2) -> (..., 4). Of the plant, or of the loop with its integrators in balance.
+
+    Examples
+    --------
+    >>> field = vector_field_of(("phi_ref", "psi_ref"))
+    >>> (field([0.3, 0, 0.5, 0], [0.3, 0.5]) + 0.0).round(12).tolist()  # at rest on the reference
+    [0.0, 0.0, 0.0, 0.0]
+    """
+    parameters = parameters or PlantParameters()
+    if tuple(input_names) == TORQUE_NAMES:
+        return lambda x, u: vector_field(x, u, parameters)
+
+    def closed(x, u):
+        x, reference = np.asarray(x, dtype=float), np.asarray(u, dtype=float)
+        balance = (
+            parameters.G_c * np.cos(reference[..., 0]) + parameters.G_s * np.sin(reference[..., 0]),
+            parameters.K_psi * reference[..., 1],
+        )
+        torques = [
+            np.clip(pid.P * (reference[..., k] - x[..., 2 * k]) - pid.D * x[..., 2 * k + 1] + balance[k], *pid.limits)
+            for k, pid in enumerate(PID.defaults(parameters))
+        ]
+        return vector_field(x, np.stack(torques, axis=-1), parameters)
+
+    return closed
+
+
+def _grid(model, angle, rate, held, points):
+    """States (points^2, 4) over the range of the training data."""
+    axes = [model.x_offset_[k] + model.x_scale_[k] * np.linspace(-1, 1, points) for k in map(STATE_NAMES.index, (angle, rate))]
+    first, second = (values.ravel() for values in np.meshgrid(*axes))
+    columns = {angle: first, rate: second, **{name: np.full(first.shape, value) for name, value in held.items()}}
+    return np.stack([columns[name] for name in STATE_NAMES], axis=-1)
