@@ -182,13 +182,14 @@ def _model(found):
     total = float((found.recording.lengths.max() - 1) * found.recording.dt)
     if fastest > 1 + found.recording.dt / total:
         doubling = found.recording.dt * math.log(2) / math.log(fastest)
-        yield Advice(
-            "warning",
-            "an unstable operator",
-            f"The largest modulus of an eigenvalue is {fastest:.6f}: something in the lifted system doubles "
-            f"every {doubling:.3g} s. Trust predictions no longer "
-            "than they were tested.",
+        linear = found.model.predictor == "lifted_linear"
+        what = (
+            "Trust predictions no longer than they were tested."
+            if linear
+            else ("Predictions lift the states anew and need not grow with it, but the powers of K do: the functions are not closed under the dynamics.")
         )
+        about = f"The largest modulus of an eigenvalue is {fastest:.6f}: something in the lifted system doubles every {doubling:.3g} s."
+        yield Advice("warning" if linear else "note", "an unstable operator", f"{about} {what}")
     slow = moved[np.abs(moved["modulus"] - 1) < found.recording.dt / total]
     if len(slow):
         yield Advice(
