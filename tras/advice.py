@@ -53,9 +53,9 @@ def _verdict(found):
             yield Advice(
                 "stop",
                 f"{state} is not predicted",
-                f"Over the test windows {state} is missed by {row['nrmse']:.3g} % of its range; its mean alone misses it by "
-                f"{constant['nrmse']:.3g} %. Do not use the model for it; if nothing here can move it, leave it out (STATES=...), for it disturbs the "
-                f"choice of the model for the others.",
+                f"Over the test windows {state} is missed by {row['nrmse']:.3g} % of its range; its mean alone misses it by {constant['nrmse']:.3g} %. "
+                "Do not use the model for it; if nothing here can move it, leave it out (STATES=...), for it disturbs the choice of the model for the "
+                "others.",
             )
     row = table.loc["model"].iloc[0]
     if row["diverged"]:
@@ -95,34 +95,30 @@ def _data(found, log):
             yield Advice(
                 "stop",
                 f"{name} jumps by a full turn",
-                f"{name} jumps by a full turn {row['wraps']} times: an angle that wraps round. No model "
-                f"can follow that; unwrap it first (numpy.unwrap, MATLAB's "
-                "unwrap).",
+                f"{name} jumps by a full turn {row['wraps']} times: an angle that wraps round. No model can follow that; unwrap it first (numpy.unwrap, "
+                "MATLAB's unwrap).",
             )
             continue
         if row["noise"] > 0.02:
             yield Advice(
                 "warning",
                 f"{name} is noisy",
-                f"The noise on {name} is {100 * row['noise']:.2g} % of its range (what moves within four samples is "
-                f"counted as noise). "
-                "Noise on the states biases the fit; a better sensor or slower sampling helps more than any model.",
+                f"The noise on {name} is {100 * row['noise']:.2g} % of its range (what moves within four samples is counted as noise). Noise on the "
+                "states biases the fit; a better sensor or slower sampling helps more than any model.",
             )
         if row["role"] == "state" and row["jump"] > 0.3 and row["jump"] > 5 * row["usual"]:
             yield Advice(
                 "warning",
                 f"{name} jumps",
-                f"{name} changes by {100 * row['jump']:.0f} % of its range within one sample, but by less than "
-                f"{100 * row['usual']:.2g} % in 99 of 100: an outlier, "
-                "or a trial that begins without a column that says so.",
+                f"{name} changes by {100 * row['jump']:.0f} % of its range within one sample, but by less than {100 * row['usual']:.2g} % in 99 of 100: "
+                "an outlier, or a trial that begins without a column that says so.",
             )
         if row["shift"] > 1 and row["role"] == "state":
             yield Advice(
                 "warning",
                 f"{name} drifts",
-                f"The mean of {name} differs between the first and the second half by {row['shift']:.2g} standard "
-                f"deviations: it drifts, or the halves hold "
-                "different motions. The test then asks for something that was not learnt.",
+                f"The mean of {name} differs between the first and the second half by {row['shift']:.2g} standard deviations: it drifts, or the halves "
+                "hold different motions. The test then asks for something that was not learnt.",
             )
     if log.m == 0:
         yield Advice("note", "no inputs", "There is no input: the model is of the free motion only. If something drives the rig, name it (INPUTS=...).")
@@ -135,10 +131,8 @@ def _excitation(found):
             yield Advice(
                 "warning",
                 f"{name} follows the states",
-                f"A linear function of the present states explains {100 * share:.3g} % of {name}: a "
-                f"feedback loop, or an input so slow that the "
-                "states follow it. What the input does and what the states do by themselves can hardly be told apart; add a test signal to the "
-                "input.",
+                f"A linear function of the present states explains {100 * share:.3g} % of {name}: a feedback loop, or an input so slow that the states "
+                "follow it. What the input does and what the states do by themselves can hardly be told apart; add a test signal to the input.",
             )
     names = list(correlation)
     for i, a in enumerate(names):
@@ -147,26 +141,23 @@ def _excitation(found):
                 yield Advice(
                     "warning",
                     f"{a} and {b} move together",
-                    f"The correlation of {a} and {b} is {correlation.loc[a, b]:.2f}: their effects can "
-                    f"hardly be told apart. Move them one by one, "
-                    "or by signals of their own.",
+                    f"The correlation of {a} and {b} is {correlation.loc[a, b]:.2f}: their effects can hardly be told apart. Move them one by one, or "
+                    "by signals of their own.",
                 )
     if facts["rank"] < facts["channels"] or facts["condition"] > 300:
         yield Advice(
             "warning",
             "too little excitation",
-            f"Constant, states and inputs (scaled) have a condition number of {facts['condition']:.3g}: some "
-            f"combination of channels hardly moves. The model "
-            "says nothing reliable about it.",
+            f"Constant, states and inputs (scaled) have a condition number of {facts['condition']:.3g}: some combination of channels hardly moves. The "
+            "model says nothing reliable about it.",
         )
     order, needed = facts["order"], found.recording.n + 1
     if order is not None and order < min(needed, 20):
         yield Advice(
             "warning",
             "too little excitation",
-            f"The inputs are persistently exciting of order {order} (lags of {facts['lag'] * facts['dt']:.3g} "
-            f"s), a linear model of {found.recording.n} states asks for "
-            f"{needed}. Use a signal with more frequencies or more steps.",
+            f"The inputs are persistently exciting of order {order} (lags of {facts['lag'] * facts['dt']:.3g} s), a linear model of {found.recording.n} "
+            f"states asks for {needed}. Use a signal with more frequencies or more steps.",
         )
     pairs, functions = found.train.pairs, len(found.model.names_)
     if pairs < 10 * functions:
@@ -182,37 +173,36 @@ def _model(found):
     total = float((found.recording.lengths.max() - 1) * found.recording.dt)
     if fastest > 1 + found.recording.dt / total:
         doubling = found.recording.dt * math.log(2) / math.log(fastest)
-        yield Advice(
-            "warning",
-            "an unstable operator",
-            f"The largest modulus of an eigenvalue is {fastest:.6f}: something in the lifted system doubles "
-            f"every {doubling:.3g} s. Trust predictions no longer "
-            "than they were tested.",
+        linear = found.model.predictor == "lifted_linear"
+        what = (
+            "Trust predictions no longer than they were tested."
+            if linear
+            else ("Predictions lift the states anew and need not grow with it, but the powers of K do: the functions are not closed under the dynamics.")
         )
+        about = f"The largest modulus of an eigenvalue is {fastest:.6f}: something in the lifted system doubles every {doubling:.3g} s."
+        yield Advice("warning" if linear else "note", "an unstable operator", f"{about} {what}")
     slow = moved[np.abs(moved["modulus"] - 1) < found.recording.dt / total]
     if len(slow):
         yield Advice(
             "note",
             "near-unit eigenvalues",
-            f"{len(slow)} eigenvalues have a modulus so near to one that they would change by less than a factor "
-            f"e over the longest trajectory ({total:.3g} s). "
-            "How such parts go on in the long run is not in the data.",
+            f"{len(slow)} eigenvalues have a modulus so near to one that they would change by less than a factor e over the longest trajectory "
+            f"({total:.3g} s). How such parts go on in the long run is not in the data.",
         )
     if found.said["treatment"] == "smoothed":
         level = noise_level(found.recording) / np.ptp(np.concatenate([x for x, _ in found.recording]), axis=0)
         yield Advice(
             "note",
             "smoothed states",
-            f"The states were smoothed before the fit, and test predictions start from smoothed states (noise "
-            f"{100 * level.max():.2g} % of the range at most). "
-            "The table also has predictions that start from states as measured.",
+            f"The states were smoothed before the fit, and test predictions start from smoothed states (noise {100 * level.max():.2g} % of the range at "
+            "most). The table also has predictions that start from states as measured.",
         )
     if found.model.condition_number > 1e10:
         yield Advice(
             "warning",
             "ill-conditioned",
-            f"The condition number of the liftings is {found.model.condition_number:.2g}: coefficients mean little "
-            f"by themselves, predictions may still be good.",
+            f"The condition number of the liftings is {found.model.condition_number:.2g}: coefficients mean little by themselves, predictions may still "
+            "be good.",
         )
 
 

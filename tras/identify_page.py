@@ -93,8 +93,7 @@ def _chosen(found):
     treated = {"smoothed": "smoothed states", "as measured": "states as measured"}[found.said["treatment"]]
     return (
         f"<p>The model: {page.escape(words)} (<code>{page.escape(dictionary)}</code>, {len(model.names_)} functions){delays}, predictor "
-        f"<code>{page.escape(model.predictor)}</code>, fitted to "
-        f"{model.pairs_} snapshot pairs of {treated}.</p>\n"
+        f"<code>{page.escape(model.predictor)}</code>, fitted to {model.pairs_} snapshot pairs of {treated}.</p>\n"
     )
 
 
@@ -133,8 +132,8 @@ def _channels(found):
     return page.table(
         head,
         rows,
-        "Channels: deviation is the standard deviation, step the usual distance between neighbouring values if they are few, "
-        "noise what moves within four samples.",
+        "Channels: deviation is the standard deviation, step the usual distance between neighbouring values if they are few, noise what moves within "
+        "four samples.",
     )
 
 
@@ -164,10 +163,9 @@ def _search_text(found):
     table = found.search
     return (
         f"{len(table)} candidates in two rounds: treatments of noise and numbers of delays first, with a linear and a nonlinear dictionary; then every "
-        f"dictionary at the best of these, and without delays. "
-        "The error is that of whole roll-outs of pieces that were held out from the candidate, against what was measured; each candidate also chooses its "
-        "strength of "
-        "regularisation. Errors within 10 % of the least count as equal, and then the candidate with fewest functions is taken."
+        "dictionary at the best of these, and without delays. The error is that of whole roll-outs of pieces that were held out from the candidate, "
+        "against what was measured; each candidate also chooses its strength of regularisation. Errors within 10 % of the least count as equal, and "
+        "then the candidate with fewest functions is taken."
     )
 
 
@@ -199,10 +197,9 @@ def _candidates(found):
 def _test_text(found):
     windows, longest = len(found.test), int(found.test.lengths.max())
     return (
-        f"{windows} windows of up to {longest} samples that nothing was chosen or fitted by; every prediction starts from the first samples of its window "
-        f"and sees the inputs only. NRMSE is the root mean "
-        "square error over the range of the truth, BFR the best fit ratio (100 is perfect, 0 no better than the mean), Enr the norm of the error over that "
-        "of the truth."
+        f"{windows} windows of up to {longest} samples that nothing was chosen or fitted by; every prediction starts from the first samples of its "
+        "window and sees the inputs only. NRMSE is the root mean square error over the range of the truth, BFR the best fit ratio (100 is perfect, 0 "
+        "no better than the mean), Enr the norm of the error over that of the truth."
     )
 
 
@@ -221,8 +218,8 @@ def _prediction_caption(found):
     band = f"There is no band: {found.said['band']}."
     if found.ensemble:
         band = (
-            f"The band holds 90 % of {len(found.ensemble)} models fitted to resampled trajectories: what is uncertain because the data are few or noisy, "
-            "not what the dictionary cannot say."
+            f"The band holds 90 % of {len(found.ensemble)} models fitted to resampled trajectories: what is uncertain because the data are few or "
+            "noisy, not what the dictionary cannot say."
         )
     more = " Six states are shown, all are in tables/predictions.csv." if found.recording.n > 6 else ""
     return f"Two test windows: the one with the median error, and the worst. {band}{more}"

@@ -121,9 +121,8 @@ def _treatments(train, samples, pairs, latest, smoothing):
     measured = hold_out(preparation.thinned(preparation.in_pieces(chunks, samples, latest + 10), SEARCHED))[1]
     if measured is None or measured.lengths.min() < latest + 5:
         raise ValueError(
-            f"there are {train.pairs} snapshot pairs in {len(train)} trajectories to learn from, too few to hold out pieces of {latest + 10} samples for "
-            f"the choice of a "
-            "model: record more, or try fewer delays."
+            f"there are {train.pairs} snapshot pairs in {len(train)} trajectories to learn from, too few to hold out pieces of {latest + 10} samples "
+            "for the choice of a model: record more, or try fewer delays."
         )
     pairs_searched = treated[0].train.pairs + measured.pairs
     said = [f"{treated[0].train.pairs} snapshot pairs for the fits, {len(measured)} held-out pieces of {int(measured.lengths[0])} samples for the errors"]

@@ -149,9 +149,8 @@ def partition(recording):
     ends = [(len(x), 4 * (len(x) - 1) // 5) for x, _ in recording]
     if max(length - end for length, end in ends) < 10:
         raise ValueError(
-            f"the recording has {int(recording.lengths.sum())} samples in {len(recording)} trajectories; to learn from four fifths and test on one it needs "
-            f"50 in one "
-            "trajectory, or five trajectories: record more."
+            f"the recording has {int(recording.lengths.sum())} samples in {len(recording)} trajectories; to learn from four fifths and test on one it "
+            "needs 50 in one trajectory, or five trajectories: record more."
         )
     parts = [(x, u, end) for (x, u), (length, end) in zip(recording, ends) if length - end >= 10]
     rest = [(x, u) for (x, u), (length, end) in zip(recording, ends) if length - end < 10]
