@@ -22,6 +22,7 @@ HEAD = 1 + CHANNELS  # constant, states, inputs
 WIDTH = 1.0  # of the Gaussians, half the range of a channel
 SAMPLES = 501  # of a trajectory
 PAIRS = 50_000  # of an experiment, 500 s
+DIFFERENT = 16
 LATER = 1000  # seeds from here on are rolled out, not fitted
 
 
@@ -33,10 +34,10 @@ def experiment(seed, samples=SAMPLES):
 
 
 def trajectories(count, samples=SAMPLES, first=1):
-    """So many trajectories, of one experiment after the other."""
+    """So many trajectories, of one experiment after the other; beyond `DIFFERENT` of them the same come again, which only costs ask for."""
     parts, found = [], 0
     while found < count:
-        parts.append(experiment(first + len(parts), samples))
+        parts.append(parts[-DIFFERENT] if len(parts) >= DIFFERENT else experiment(first + len(parts), samples))
         found += len(parts[-1][0])
     return tuple(np.concatenate(part)[:count] for part in zip(*parts))
 

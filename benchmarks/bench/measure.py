@@ -88,7 +88,7 @@ class Bench:
         return rows
 
 
-def measured(bench, method, problem, with_exact=False, rolled=False, compared=True):
+def measured(bench, method, problem, with_exact=False, rolled=False, compared=True, fits=None):
     """Rows of a fit and, if ``rolled`` and if the method has one, of a roll-out with what was fitted: ``{"fit": row, "roll-out": row}``.
 
     Parameters
@@ -99,6 +99,8 @@ def measured(bench, method, problem, with_exact=False, rolled=False, compared=Tr
         Compare the coefficients with extended precision.
     compared : bool
         In turn with ours (fit) and with the plain NumPy loop (roll-out), as ratios.
+    fits : int, optional
+        At most so many, where only the roll-out counts.
     """
     rows = {}
     try:
@@ -106,7 +108,7 @@ def measured(bench, method, problem, with_exact=False, rolled=False, compared=Tr
             ready = child.ask()
             rows["fit"] = {"version": ready["version"], "timed": ready["note"]}
             reference = (lambda: bench.reference(OURS, problem).ask({"do": "fit"})) if compared and method != OURS else None
-            rows["fit"] |= in_turn(bench, lambda: child.ask({"do": "fit"}), reference)
+            rows["fit"] |= in_turn(bench, lambda: child.ask({"do": "fit"}), reference, fits)
             if not rows["fit"]["outcome"]:
                 rows["fit"] |= accuracy(bench, child, problem, with_exact)
                 if rolled:
@@ -119,7 +121,7 @@ def measured(bench, method, problem, with_exact=False, rolled=False, compared=Tr
     return rows
 
 
-def in_turn(bench, run, reference):
+def in_turn(bench, run, reference, most=None):
     """Run and reference in turn, as often as the budget allows; medians, and in ``outcome`` why there are none."""
     runs, references, count = [], [], 1
     try:
@@ -127,7 +129,7 @@ def in_turn(bench, run, reference):
             runs.append(run())
             references.append(_asked(reference) if reference else runs[-1])
             if len(runs) == 1:
-                count = rounds(runs[0]["cpu"] + (references[0]["cpu"] if reference else 0), bench.limits.budget, bench.limits.rounds)
+                count = rounds(runs[0]["cpu"] + (references[0]["cpu"] if reference else 0), bench.limits.budget, most or bench.limits.rounds)
     except Failed as failure:
         return {"outcome": str(failure)} | summary(runs[: len(references)], references)
     return {"outcome": ""} | summary(runs, references)
@@ -226,7 +228,7 @@ def digest(*values):
 
 
 GROWTH = {
-    "pairs": [(pairs, 84, 100) for pairs in (6_500, 12_500, 25_000, 50_000, 100_000, 200_000, 400_000, 800_000)],
+    "pairs": [(pairs, 84, 100) for pairs in (12_500 * 2**k for k in range(10))],
     "functions": [(50_000, functions, 100) for functions in (27, 57, 107, 207, 407, 807, 1607)],
     "trajectories": [(50_000, 84, runs) for runs in (1, 4, 16, 64, 256, 512, 1024, 2048, 4096)],
 }
@@ -247,7 +249,8 @@ def grow(bench, say, against=GROWTH):
                 def measure(variant=variant, variable=variable):
                     nonlocal problem
                     problem = problem or data.write(bench.folder / "problems", pairs, functions, runs, width=NARROW)
-                    return measured(bench, variants[variant], problem, rolled=variable == "trajectories", compared=False)
+                    rolled = variable == "trajectories"
+                    return measured(bench, variants[variant], problem, rolled=rolled, compared=False, fits=1 if rolled else None)
 
                 found = bench.cached(key, measure)
                 row = found.get("roll-out" if variable == "trajectories" else "fit", found["fit"])

@@ -79,8 +79,11 @@ class Session:
     def fit(self):
         self.model = None
         self.model, numbers = timed(lambda: self.adapter.fit(self.problem, self.data))
-        numbers["peak"] = max(0, numbers["peak"] - self.base)
-        return numbers
+        return self.beyond(numbers)
+
+    def beyond(self, numbers):
+        """Peak memory beyond what was held before the first fit."""
+        return numbers | {"peak": max(0, numbers["peak"] - self.base)}
 
     def coefficients(self, path):
         """The states' columns of K, rows in the problem's order, to ``path``."""
@@ -99,7 +102,7 @@ class Session:
         if states is None:
             return {"none": True}
         np.save(path, np.asarray(states, dtype=float))
-        return numbers
+        return self.beyond(numbers)
 
 
 def warm_up(adapter, problem):
