@@ -13,12 +13,12 @@ import copy
 import itertools
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from tras import executors, koopman
 from tras.executors import SchedulerError
 from tras.leastsquares import StreamingLeastSquares
 from tras.pieces import without
+from tras.threads import one_blas_thread
 
 _PARTS = 16
 
@@ -52,7 +52,7 @@ def absorb(model, stream, held, length, chunk, scheduler=None, parts=None, bar=N
             raise SchedulerError(f"part {k} of {parts} was lost: {result.reason}; use a smaller chunk.")
         state, edges = result
         if state is not None:
-            with _one_thread():
+            with one_blas_thread():
                 model._solver.merge(StreamingLeastSquares.from_state(state))
         if edges is not None:
             model.hull_.low, model.hull_.high = np.minimum(model.hull_.low, edges[0]), np.maximum(model.hull_.high, edges[1])
@@ -64,7 +64,7 @@ def absorb(model, stream, held, length, chunk, scheduler=None, parts=None, bar=N
 def absorb_part(model, stream, held, length, groups):
     """What one worker does: (state of the solver or None, edges of the hull or None) of some chunks."""
     model = copy.deepcopy(model)
-    with _one_thread():
+    with one_blas_thread():
         for first, last, _ in groups:
             model._absorb(_scaled(model, stream, first, last, held, length), threads=1)
         model._solver._work_off(max(model._solver.rows, 1))  # rows that wait would travel
@@ -94,11 +94,6 @@ def _chunks(stream, chunk):
 def _prepare(model, stream, group, held, length):
     """The basis, and the hull's axes, of the first block of pairs as one process would take it."""
     scaled = _scaled(model, stream, *group[:2], held, length)
-    with _one_thread():
+    with one_blas_thread():
         model._absorb(scaled, threads=1, most=1)
         model._solver = model._solver.emptied()
-
-
-def _one_thread():
-    """Sums depend on the number of BLAS threads, and workers have one."""
-    return threadpool_limits(1, user_api="blas")

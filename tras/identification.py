@@ -5,13 +5,13 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from sklearn.base import clone
-from threadpoolctl import threadpool_limits
 
 from tras import advice, datachecks, preparation
 from tras.ensemble import bootstrap, prediction_band
 from tras.identify_scores import compare, growth, typical_and_worst
 from tras.identify_search import search
 from tras.recording import join
+from tras.threads import one_blas_thread
 
 FITTED = 2_000_000  # snapshot pairs of the final fit, at most
 TESTED = 60_000  # and of the test
@@ -78,7 +78,7 @@ def identify(recording, *, predictor=None, delays=None, smoothing=None, draws=30
     >>> found.model.dictionary
     Monomials(degree=3)
     """
-    with threadpool_limits(1, user_api="blas"):  # small matrices: threads wait for each other; and the same bits everywhere
+    with one_blas_thread():  # small matrices: threads wait for each other; and the same bits everywhere
         return _identify(join(recording), predictor, delays, smoothing, draws, seed)
 
 

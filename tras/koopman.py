@@ -5,17 +5,15 @@ of a QR decomposition. Fitted is the change D = K - I, because ``psi(y) - psi(x)
 relative to D, which is what the logarithm needs, and functions that do not change (the constant, the inputs) get exactly zero.
 """
 
-import os
 import threading
-from multiprocessing import parent_process
 
 import numpy as np
 
 from tras.leastsquares import StreamingLeastSquares
+from tras.threads import processors
 
 DEALT = 2**20  # pairs that are shuffled at a time, 80 MB for ten channels
 SUIT = 8  # successive pairs that are dealt together where they share liftings
-_MOST_THREADS = 8
 
 
 def snapshot_pairs(recording, block=4096, deal=0):
@@ -126,14 +124,6 @@ def lifting(dictionary, of=rows):
 
 def _fresh(number, rows, columns):
     return np.empty((rows, columns))
-
-
-def processors():
-    """Threads that a fit takes unless told otherwise: one a processor that this process may use; one in a process among others, which share them."""
-    if parent_process() is not None:
-        return 1
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(usable, _MOST_THREADS)
 
 
 def koopman_matrix(dictionary, recording, names=None):

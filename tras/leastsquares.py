@@ -23,14 +23,14 @@ import math
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import nullcontext
-from functools import cache, cached_property
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular, svd
-from threadpoolctl import ThreadpoolController
 
 from tras.basis import Basis, cholesky, condition_number, householder, powers_of_two, sums_of_squares
+from tras.threads import one_blas_thread
 
 _EPS = np.finfo(float).eps
 _WORST_GRAM = 1e5  # condition number of G (1-norm, equilibrated) beyond which the basis is renewed
@@ -112,7 +112,7 @@ class StreamingLeastSquares:
             ``block -> (regressors, targets)``, arrays that nobody needs afterwards. Called again for a block when the basis is renewed at it.
         threads : int
         """
-        with _one_blas_thread(), ThreadPoolExecutor(threads) if threads > 1 else nullcontext() as pool:
+        with one_blas_thread(), ThreadPoolExecutor(threads) if threads > 1 else nullcontext() as pool:
             running = deque()
             for block in blocks:
                 if not self._ready_for(len(block[0])):  # the basis is not made yet, rows wait, or will have to
@@ -414,15 +414,6 @@ def _at_once(function, *arguments):
     done = Future()
     done.set_result(function(*arguments))
     return done
-
-
-def _one_blas_thread():
-    return _libraries().limit(limits=1, user_api="blas")
-
-
-@cache
-def _libraries():
-    return ThreadpoolController()  # looking for the libraries takes milliseconds
 
 
 def _panel(p):

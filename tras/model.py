@@ -13,6 +13,7 @@ from tras.leastsquares import StreamingLeastSquares
 from tras.recording import Recording, join
 from tras.regularization import METHODS, STRENGTHS, regularized
 from tras.selection import hold_out, multi_step_error
+from tras.threads import processors
 
 OPTIONS = {
     "predictor": ("vector_field", "one_step", "lifted_linear"),
@@ -204,7 +205,7 @@ class KoopmanModel(BaseEstimator):
         rows = koopman.lifted_linear_rows if not self._lifts_inputs else koopman.rows if self.columns == "all" else koopman.state_rows
         blocks = koopman.snapshot_pairs(scaled, koopman.block_size(self.dictionary_), deal=koopman.SUIT if self._shares else 1)
         blocks = map(self._widen_hull, itertools.islice(blocks, most))
-        self._solver.update_lifted(blocks, koopman.lifting(self.dictionary_, rows), threads or koopman.processors())
+        self._solver.update_lifted(blocks, koopman.lifting(self.dictionary_, rows), threads or processors())
 
     def _widen_hull(self, block):
         if self.extrapolation == "linear" and self._lifts_inputs and self._tail:

@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 from sklearn.base import clone
-from threadpoolctl import threadpool_limits
 
 from tras import formats, metrics, search
 from tras.pieces import RecordingFile, UnreadableError
 from tras.recording import Recording, join, require_alike
+from tras.threads import one_blas_thread
 
 
 class File(NamedTuple):
@@ -53,7 +53,7 @@ def evaluate(data, latest, point):
     train, held = prepared(data, point.seconds, point.every, point.split_seed)
     model = clone(point.model)
     try:
-        with np.errstate(all="ignore"), threadpool_limits(1):  # what runs away is counted, not warned of
+        with np.errstate(all="ignore"), one_blas_thread():  # what runs away is counted, not warned of
             model.fit(train, progress=False)
             true, predicted = search.roll_outs(model, held, latest)
     except UnreadableError:
