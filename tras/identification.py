@@ -76,7 +76,7 @@ def identify(recording, *, predictor=None, delays=None, smoothing=None, draws=30
     >>> from tras.examples import example
     >>> found = identify(example("duffing", trials=6), predictor="one_step", delays=[0], smoothing=False, draws=0)
     >>> found.model.dictionary
-    Monomials(degree=3)
+    Mechanical(degree=3, positions=[0], shape=[0], velocities=[1])
     """
     with one_blas_thread():  # small matrices: threads wait for each other; and the same bits everywhere
         return _identify(join(recording), predictor, delays, smoothing, draws, seed)
