@@ -1,5 +1,6 @@
 """Measuring: a method and a reference in turn, each in a child of its own, so that every ratio is one of the same minutes of the same machine."""
 
+import functools
 import hashlib
 import json
 import statistics
@@ -205,7 +206,7 @@ def compare(bench, methods, cells, rolled, say, exact_up_to=50_000 * 1006):
     """
     rows, smallest = [], min(pairs for pairs, _ in cells)
     for pairs, functions in sorted(cells):
-        problem = data.write(bench.folder / "problems", pairs, functions)
+        problem = functools.cache(functools.partial(data.write, bench.folder / "problems", pairs, functions))  # only if something is measured
         for method in methods:
             say(f"{method.name}, {pairs} pairs, {functions} functions")
             rolls = pairs == smallest and functions in rolled and method.variant not in FITTED_ONLY
@@ -217,7 +218,7 @@ def compare(bench, methods, cells, rolled, say, exact_up_to=50_000 * 1006):
                 options = {"with_exact": pairs * functions <= exact_up_to, "rolled": rolls}
                 lock = ROOT / f"benchmarks/peers/{method.environment}.txt" if method.environment else None
                 key = f"{method.name.replace(', ', '-').replace(' ', '-')}-{pairs}-{functions}-{fingerprint(lock)}-{digest(bench.limits, options)}"
-                found = bench.cached(key, lambda method=method, options=options: measured(bench, method, problem, **options))
+                found = bench.cached(key, lambda method=method, options=options, problem=problem: measured(bench, method, problem(), **options))
             rows += [{"what": what, "method": method.name, "pairs": pairs, "functions": functions} | row for what, row in found.items()]
         bench.forget_references()
     return rows
