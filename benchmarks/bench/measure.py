@@ -19,7 +19,7 @@ from tras import files
 ROOT = Path(__file__).resolve().parent.parent.parent
 THREADS = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")}
 BEYOND = 1e3  # half-ranges: a roll-out that leaves them is counted as diverged
-FITTED_ONLY = ("koopman_matrix", "floor")
+FITTED_ONLY = ("koopman_matrix", "all_processors", "states_alone", "floor")
 ROLLED_ONLY = ("one_step", "lifted_linear")  # their fits differ little from the others
 ROLLED_OUT = ("one_step", "vector_field", "lifted_linear")
 HOPELESS = ("out of memory", "over the time limit")
@@ -29,7 +29,7 @@ OURS = Method("tras", "with_tras", "koopman_matrix")
 GRAM = Method("plain Gram", "with_numpy", "gram")
 METHODS = [
     OURS,
-    *(Method(f"tras, {variant.replace('_', ' ')}", "with_tras", variant) for variant in ("one_step", "vector_field", "lifted_linear", "default")),
+    *(Method(f"tras, {variant.replace('_', ' ')}", "with_tras", variant) for variant in ("all_processors", "states_alone", "one_step", "vector_field", "lifted_linear", "default")),
     GRAM,
     Method("floor", "with_numpy", "floor"),
     *(Method(name, f"with_{name}", "", name) for name in ("pykoop", "pykoopman", "deeptime", "kooplearn", "datafold", "pydmd")),

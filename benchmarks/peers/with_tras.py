@@ -1,4 +1,4 @@
-"""This package, in its own environment. Variants: ``koopman_matrix``, or the options of a `tras.KoopmanModel`."""
+"""This package, in its own environment. Variants: ``koopman_matrix``, the same on all processors, or the options of a `tras.KoopmanModel`."""
 
 import numpy as np
 import tras
@@ -10,12 +10,16 @@ MODELS = {
     "vector_field": {"predictor": "vector_field", "regularization": None},
     "lifted_linear": {"predictor": "lifted_linear", "regularization": None},
     "default": {},
+    "states_alone": {"predictor": "one_step", "regularization": None, "columns": "states"},
 }
+WHOLE = ("koopman_matrix", "all_processors")  # and nothing else
 
 
 def NOTE(problem):
     notes = {
         "koopman_matrix": "lift + fit (tras.koopman.koopman_matrix)",
+        "all_processors": "the same by a thread a processor; see the wall-clock seconds",
+        "states_alone": "lift of the first ends + fit of the states' columns alone (KoopmanModel, one_step, no regularisation)",
         "one_step": "lift + fit + what prediction needs (KoopmanModel, no regularisation)",
         "vector_field": "lift + fit + logarithm + vector field (KoopmanModel, no regularisation)",
         "lifted_linear": "lift of x + fit, linear in u (KoopmanModel, no regularisation)",
@@ -25,7 +29,7 @@ def NOTE(problem):
 
 
 def HOW(problem):
-    how = {"one_step": "re-lift", "lifted_linear": "linear, states lifted once", "koopman_matrix": ""}
+    how = {"one_step": "re-lift", "lifted_linear": "linear, states lifted once", "states_alone": "re-lift"} | dict.fromkeys(WHOLE, "")
     return how.get(problem.variant, "integrates the vector field") + ", all runs at once"
 
 
@@ -40,7 +44,7 @@ def dictionary(problem, channels):
 
 
 def fit(problem, data):
-    if problem.variant == "koopman_matrix":
+    if problem.variant in WHOLE:
         functions = dictionary(problem, problem.n + problem.m).fit(problem.states[:1, :2], problem.inputs[:1, :2])
         return functions, koopman.koopman_matrix(functions, data)[0]
     options = MODELS[problem.variant]
@@ -55,7 +59,7 @@ def features(problem, model, z):
 
 
 def matrix(problem, model):
-    if problem.variant in ("lifted_linear", "default"):
+    if problem.variant in ("lifted_linear", "default", "states_alone"):
         return None  # of other functions; not the plain least squares
     return model[1] if isinstance(model, tuple) else model.koopman_matrix
 
