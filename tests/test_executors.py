@@ -187,3 +187,11 @@ def test_another_kind_of_server_is_no_scheduler(monkeypatch):
 def test_what_is_no_scheduler_is_refused(scheduler):
     with pytest.raises(ValueError, match="scheduler is .*; give None, 'processes', or an address such as 'tcp://host:8786'"):
         list(executors.run(square(), JOBS, scheduler=scheduler))
+
+
+def test_the_pool_that_joblib_shares_is_left_alone():
+    from joblib import Parallel, delayed
+
+    for _ in range(2):
+        assert dict(executors.run(pow, [(2, 3), (3, 2)], scheduler="processes", processes=2)) == {0: 8, 1: 9}
+        assert Parallel(n_jobs=2)(delayed(pow)(k, 2) for k in (1, 2, 3)) == [1, 4, 9]

@@ -252,7 +252,7 @@ def test_a_failure_after_the_pass_loses_nothing(path, tmp_path, monkeypatch):
     """Another strength, or another method of regularisation, goes on from the finished checkpoint."""
     plain(strength=1.0).fit(path, chunk=CHUNK, checkpoint=tmp_path / "a.npz")
     absorbed = []
-    monkeypatch.setattr(tras.KoopmanModel, "_absorb", lambda self, rows: absorbed.extend(rows))
+    monkeypatch.setattr(tras.KoopmanModel, "_absorb", lambda self, rows, threads=None: absorbed.extend(rows))
     model = plain(strength=0.0, regularization=None).fit(path, chunk=CHUNK, checkpoint=tmp_path / "a.npz")
     monkeypatch.undo()
     assert not absorbed

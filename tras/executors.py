@@ -20,6 +20,7 @@ _PATIENCE = 5.0  # seconds to wait for a scheduler, and for its first worker
 _LOOK = 10.0  # seconds without a result after which one looks whether there are workers still
 _LARGE = {"distributed.admin.large-graph-warning-threshold": "1 GiB"}  # recordings in memory are sent knowingly
 _IDLE = 60  # seconds after which a local process that has nothing to do ends
+_POOLS = {}  # number of processes -> pool, kept for the next call
 
 
 class SchedulerError(ValueError):
@@ -136,10 +137,16 @@ def _alone(work, arguments):
 
 
 def _pool(count):
-    """The pool of processes, a new one if the last was broken. Its processes import what they need when a job asks for it, not the caller's script."""
-    from joblib.externals.loky import get_reusable_executor
+    """The pool of so many processes, a new one if the last was broken or ended. They import what they need when a job asks for it, not the caller's script.
 
-    return get_reusable_executor(max_workers=count, timeout=_IDLE)
+    Not the one pool that joblib shares with everybody: its own ``Parallel`` cannot go on with a pool that others made.
+    """
+    from joblib.externals.loky import ProcessPoolExecutor
+
+    pool = _POOLS.get(count)
+    if pool is None or pool._flags.broken is not None or pool._flags.shutdown:
+        pool = _POOLS[count] = ProcessPoolExecutor(max_workers=count, timeout=_IDLE)
+    return pool
 
 
 # --------------------------------------------------------------------------------------------------------------------------- Dask
