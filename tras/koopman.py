@@ -9,7 +9,7 @@ import threading
 
 import numpy as np
 
-from tras.leastsquares import StreamingLeastSquares
+from tras.leastsquares import StreamingLeastSquares, panel_rows
 from tras.threads import processors
 
 DEALT = 2**20  # pairs that are shuffled at a time, 80 MB for ten channels
@@ -147,8 +147,8 @@ def koopman_matrix(dictionary, recording, names=None):
 
 
 def block_size(dictionary):
-    """Rows a block: several times the columns."""
-    return max(4096, 4 * len(dictionary.names))
+    """Rows a block: one panel of the solver, so that nothing waits."""
+    return panel_rows(dictionary._size)
 
 
 def check_head(fit, head):

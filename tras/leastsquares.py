@@ -79,7 +79,7 @@ class StreamingLeastSquares:
         elif shapes != self._shapes:
             raise ValueError(f"this block has (regressors, targets) {shapes}, earlier ones {self._shapes}; they must be alike.")
         self.rows += len(regressors)
-        panel = self.panel or _panel(shapes[0])
+        panel = self.panel or panel_rows(shapes[0])
         waiting = sum(len(x) for x, _ in self._waiting) + len(regressors)
         full = waiting >= panel
         self._waiting.append((regressors, targets) if full else (regressors.copy(), targets.copy()))
@@ -127,7 +127,7 @@ class StreamingLeastSquares:
         return self
 
     def _ready_for(self, rows):
-        panel = self.panel or (self._basis is not None and _panel(self._shapes[0]))
+        panel = self.panel or (self._basis is not None and panel_rows(self._shapes[0]))
         return self._basis is not None and not self._waiting and panel <= rows < 2 * panel
 
     def _collect(self, running, lift, leave=0):
@@ -416,7 +416,7 @@ def _at_once(function, *arguments):
     return done
 
 
-def _panel(p):
+def panel_rows(p):
     """Rows that are worked on at once."""
     return max(4096, 4 * p)
 
