@@ -12,7 +12,8 @@ from scipy import linalg
 
 import tras
 from tras import koopman
-from tras.leastsquares import StreamingLeastSquares, least_squares
+from tras.basis import Sketch
+from tras.leastsquares import StreamingLeastSquares, least_squares, panels_of_a_basis
 from tras.regularization import regularized
 
 
@@ -463,5 +464,105 @@ def test_leading_bits_are_multiplied_exactly_only_where_terms_cancel():
         Y = np.sin(X[:, :2])
         solver = StreamingLeastSquares().update(X, Y)
         fit = solver.solve()
-        outcome[size] = solver._basis.split, columnwise(fit.coefficients, extended(X, Y, fit.R)[0])
-    assert outcome[1e-4] == (False, pytest.approx(0, abs=1e-11)) and outcome[1e-9] == (True, pytest.approx(0, abs=1e-6))
+        outcome[size] = solver._basis.exact, columnwise(fit.coefficients, extended(X, Y, fit.R)[0])
+    assert outcome[1e-4] == (6, pytest.approx(0, abs=1e-11)) and outcome[1e-9] == (4, pytest.approx(0, abs=1e-6))
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("first", [0, 3, 29])
+def test_rows_in_the_basis_against_extended_precision(first, overwrite):
+    """Columns that depend on each other to 1e-10 from ``first`` on: errors in B are those of the trailing bits alone, a thousandth of a plain product's."""
+    rng = np.random.default_rng(7)
+    X = rng.normal(size=(500, 30))
+    X[:, first:] = X[:, :1] + 1e-10 * X[:, first:] if first else X[:, 29:] + 1e-10 * X
+    basis = Sketch(30).add(X).basis()
+    assert basis.exact == max(first, 1)
+    exact = sum(product(X / basis.scale, (basis.T, np.zeros_like(basis.T))))
+    given = np.asfortranarray(X.copy())
+    length = np.linalg.norm(exact, axis=0)
+    errors = np.linalg.norm(basis.whiten(given, overwrite) - exact, axis=0) / length
+    assert overwrite or np.array_equal(given, X)
+    cancelled = np.linalg.norm(X / basis.scale, axis=0) @ np.abs(basis.T) / length
+    plain = np.linalg.norm((X / basis.scale) @ basis.T - exact, axis=0) / length
+    assert errors.max() <= np.finfo(float).eps * cancelled.max() * 2.0**-basis.bits and plain.max() > 1e3 * errors.max()
+
+
+# ------------------------------------------------------------------------------------------------------------------ the first basis
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10**6), p=st.integers(1, 40), rows=st.integers(1, 3000), decades=st.floats(0, 9), blocks=st.integers(1, 4))
+def test_a_basis_of_a_sketch_serves_all_its_rows(seed, p, rows, decades, blocks):
+    """In it the rows have a condition number of some tens at most, whatever that of their functions; fewer rows than functions: their rank."""
+    rng = np.random.default_rng(seed)
+    X = rng.normal(size=(rows, p)) @ np.diag(np.geomspace(1, 10**-decades, p)) @ rng.normal(size=(p, p))
+    sketch = Sketch(p)
+    for part in np.array_split(X, blocks):
+        sketch.add(part)
+    assert sketch.rows == rows
+    B = sketch.basis().whiten(X)
+    if rows >= p and np.linalg.cond(X / np.linalg.norm(X, axis=0)) < 1e10:
+        singular = np.linalg.svd(B, compute_uv=False)
+        assert singular[0] <= 60 * singular[-1] and 0.05 <= singular[-1] and singular[0] <= 20
+    assert np.linalg.norm(B) ** 2 <= 9 * min(rows, p) + 1
+
+
+def narrow_functions(rows, p=300):
+    """Blocks of one panel whose functions are nearly dependent in each: each of the last 200 columns lives in few rows."""
+    rng = np.random.default_rng(11)
+    X = rng.normal(size=(rows, p))
+    X[:, 100:] = np.exp(-((rng.uniform(-1, 1, (rows, 1)) - np.linspace(-1, 1, p - 100)) ** 2) / 0.02**2) + 0.1 * X[:, :1]
+    Y = np.tanh(X[:, :3] + X[:, 150:153])
+    return X, Y, [(X[k : k + 4100], Y[k : k + 4100]) for k in range(0, rows, 4100)]
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_more_blocks_make_the_first_basis_where_one_is_few_rows(alone):
+    """Two of 4100 rows for 300 functions; any number of threads gives the same bits, as good as QR; an emptied solver keeps the basis."""
+    X, Y, blocks = narrow_functions(5 * 4100)
+    calls = []
+    lift = lambda block: tuple(part.copy(order="F") for part in block)  # noqa: E731
+    regressors = (lambda block: (calls.append(1), block[0])[1]) if alone else None
+    solvers = [StreamingLeastSquares().update_lifted(blocks, lift, threads, regressors) for threads in (1, 2, 5)]
+    assert len(calls) == 3 * alone
+    assert panels_of_a_basis(300) == 2 and panels_of_a_basis(256) == 1 and panels_of_a_basis(2000) == 4
+    for solver in solvers[1:]:
+        assert all(np.array_equal(value, solvers[0].state()[key]) for key, value in solver.state().items())
+    seen = Sketch(300).add(X[:4100]).add(X[4100:8200]).basis()
+    assert seen.same_as(solvers[0]._basis)
+    fit = solvers[0].solve()
+    exact = extended(X, Y, fit.R)[0]
+    QR = linalg.lstsq(X, Y)[0]
+    assert fit.rows == len(X) and columnwise(fit.coefficients, exact) <= 3 * columnwise(QR, exact)
+    again = solvers[0].emptied().update_lifted(blocks[2:], lift)
+    assert again._basis is solvers[0]._basis and again.rows == 3 * 4100
+
+
+def test_a_first_block_that_is_all_there_is():
+    X, Y, blocks = narrow_functions(4100)
+    lifted = StreamingLeastSquares().update_lifted(blocks, lambda block: (block[0].copy(order="F"), block[1]))
+    plain = least_squares([(X, Y)])
+    assert np.array_equal(lifted.solve().coefficients, plain.coefficients)
+    assert StreamingLeastSquares().update_lifted([], None).rows == 0
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_nan_in_the_rows_that_the_basis_is_made_of(bad):
+    X, Y, blocks = narrow_functions(2 * 4100)
+    X[17, 3] = bad
+    with np.errstate(invalid="ignore"), pytest.raises(ValueError, match="regressors or targets hold NaN, infinity"):
+        StreamingLeastSquares().update_lifted(blocks, lambda block: (block[0].copy(order="F"), block[1]))
+
+
+def test_rank_is_that_of_the_singular_values_on_either_side_of_the_shortcut():
+    """The bound that spares the decomposition says nothing near the limit: columns apart by 10^-k, whose smallest singular value crosses it."""
+    rng = np.random.default_rng(0)
+    ranks = []
+    for k in range(8, 17):
+        X = rng.normal(size=(5000, 6))
+        X[:, 5] = X[:, 2] + 10.0**-k * X[:, 5]
+        fit = StreamingLeastSquares().update(X, X[:, :1]).solve()
+        singular = np.linalg.svd(fit.R / np.linalg.norm(X, axis=0), compute_uv=False)
+        assert fit.rank == np.sum(singular > singular[0] * np.finfo(float).eps * 5000**0.5)
+        ranks.append(fit.rank)
+    assert ranks[0] == 6 and ranks[-1] == 5 and ranks == sorted(ranks, reverse=True)

@@ -11,7 +11,7 @@ from tras.files import replacing
 from tras.leastsquares import StreamingLeastSquares
 from tras.storage import HULL, UNREADABLE, read_npz, restored_hull
 
-_FORMAT = "tras checkpoint 1"
+_FORMAT = "tras checkpoint 2"
 
 
 class CheckpointError(ValueError):

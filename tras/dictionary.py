@@ -12,7 +12,8 @@ import itertools
 import numpy as np
 from sklearn.base import BaseEstimator, clone
 
-STRIP = 512  # points that are lifted at a time, so that what is made on the way stays in the cache
+STRIP = 2**13  # points that are lifted at a time: what some dictionaries make on the way is no larger than that
+_FEW = 256  # points for which calls cost more than copies
 
 class Dictionary(BaseEstimator):
     """N functions of n states and m inputs, with names and exact Jacobians; scikit-learn conventions.
@@ -163,7 +164,7 @@ class Monomials(Dictionary):
         return len(words) - 1 - channels
 
     def _fill(self, psi, z):
-        if z.shape[1] < STRIP // 2:  # calls cost more than copies
+        if z.shape[1] < _FEW:
             for level, shorter, letter in self._levels:
                 np.multiply(psi[shorter], z[letter], out=psi[level])
         else:

@@ -16,7 +16,7 @@ import numpy as np
 
 from tras import executors, koopman
 from tras.executors import SchedulerError
-from tras.leastsquares import StreamingLeastSquares
+from tras.leastsquares import StreamingLeastSquares, panels_of_a_basis
 from tras.pieces import without
 from tras.threads import one_blas_thread
 
@@ -92,8 +92,8 @@ def _chunks(stream, chunk):
 
 
 def _prepare(model, stream, group, held, length):
-    """The basis, and the hull's axes, of the first block of pairs as one process would take it."""
+    """The basis, and the hull's axes, of the first blocks of pairs as one process would take them."""
     scaled = _scaled(model, stream, *group[:2], held, length)
     with one_blas_thread():
-        model._absorb(scaled, threads=1, most=1)
+        model._absorb(scaled, threads=1, most=panels_of_a_basis(len(model.names_)))
         model._solver = model._solver.emptied()

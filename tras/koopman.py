@@ -122,6 +122,12 @@ def lifting(dictionary, of=rows):
     return lambda block: of(dictionary, *block, buffer)
 
 
+def regressors_alone(dictionary, of=rows):
+    """``(x, u, y) -> regressors`` of what `lifting` gives."""
+    lift = lifting(dictionary, state_rows if of is rows else of)
+    return lambda block: lift(block)[0]
+
+
 def _fresh(number, rows, columns):
     return np.empty((rows, columns))
 
@@ -141,9 +147,10 @@ def koopman_matrix(dictionary, recording, names=None):
         If there are fewer pairs than functions, or the functions are linearly dependent on the data.
     """
     solver = StreamingLeastSquares()
-    solver.update_lifted(snapshot_pairs(recording, block_size(dictionary), deal=1), lifting(dictionary), processors())
+    blocks = snapshot_pairs(recording, block_size(dictionary), deal=1)
+    solver.update_lifted(blocks, lifting(dictionary), processors(), regressors_alone(dictionary))
     fit = solver.solve(names).require_full_rank()
-    return np.eye(len(fit.R)) + fit.coefficients, fit
+    return np.eye(len(fit.coefficients)) + fit.coefficients, fit
 
 
 def block_size(dictionary):

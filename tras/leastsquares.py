@@ -3,10 +3,10 @@
 The Gram matrix Psi^T Psi is as fast as linear algebra gets, but squares the condition number of Psi; a Householder QR does not,
 and takes several times as long. Here the rows are first written in a basis T in which they are nearly orthonormal,
 
-    B = Psi T,   T ~ R0^-1,   R0 the triangular factor of a sample of the rows,
+    B = Psi T,   T ~ R0^-1,   R0 the triangular factor of a sketch of the first rows,
 
 and the normal equations are formed in that basis, G = sum B^T B and C = sum B^T Y. G has a condition number of order 10, so
-squaring it costs nothing, and K = T G^-1 C. Preconditioning by the factor of a sample of the rows is the idea of V. Rokhlin and
+squaring it costs nothing, and K = T G^-1 C. Preconditioning by the factor of random sums of the rows is the idea of V. Rokhlin and
 M. Tygert (PNAS 105, 2008, 13212), of Blendenpik (H. Avron, P. Maymounkov and S. Toledo, SIAM J. Sci. Comput. 32, 2010, 1217)
 and of E. N. Epperly, M. Meier and Y. Nakatsukasa (arXiv:2406.03468, 2024); a Cholesky factor in a nearly orthonormal basis is the
 second half of CholeskyQR2 (Y. Yamamoto et al., ETNA 44, 2015, 306; with a shift: T. Fukaya et al., SIAM J. Sci. Comput. 42, 2020,
@@ -16,9 +16,10 @@ top of the new rows, a step of sequential TSQR (J. Demmel et al., SIAM J. Sci. C
 What is left is the rounding of B, where columns cancel. T is free to choose, so its entries are rounded to a coarse grid; the
 leading bits of Psi times T is then a sum of integers below 2^53, which floating point adds *exactly*, and only the trailing bits of
 Psi, 2^-10 or less of the whole, contribute rounding errors (error-free transformation: K. Ozaki et al., Numer. Algorithms 59,
-2012, 95). So coefficients are better than those of a Householder QR, by two to four digits where Psi is ill-conditioned.
+2012, 95); columns that cancel little are multiplied in one product. So coefficients are better than those of a Householder QR, by two to four digits where Psi is ill-conditioned.
 """
 
+import itertools
 import math
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -27,14 +28,15 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular, svd
+from scipy.linalg import blas, lapack, svd
 
-from tras.basis import Basis, cholesky, condition_number, householder, powers_of_two, sums_of_squares
+from tras.basis import Basis, Sketch, cholesky, condition_number, householder, powers_of_two, require_finite, sums_of_squares
 from tras.threads import one_blas_thread
 
 _EPS = np.finfo(float).eps
 _WORST_GRAM = 1e5  # condition number of G (1-norm, equilibrated) beyond which the basis is renewed
 _LOST = 1e12  # ... beyond which G itself is too rounded to renew the basis from
+_SAMPLE = 16  # rows a regressor that the first basis is made of, if there are so many to be seen at once
 _GROWTH = 4.0  # G is examined again when its trace has grown by this factor
 
 
@@ -98,23 +100,25 @@ class StreamingLeastSquares:
             rows = slice(k * len(x) // pieces, (k + 1) * len(x) // pieces)
             self._absorb(x[rows], y[rows])
 
-    def update_lifted(self, blocks, lift, threads=1):
+    def update_lifted(self, blocks, lift, threads=1, regressors=None):
         """``update(*lift(block))`` for each block, by several threads; the outcome has the same bits whatever their number.
 
         Each thread lifts a block and multiplies what it lifted; the products are added up here, in the order of the blocks. BLAS itself is held to
-        one thread meanwhile.
+        one thread meanwhile. If the first block has fewer than 16 rows a regressor, the basis is made of so many blocks as have.
 
         Parameters
         ----------
         blocks : iterable
             Of tuples of arrays, one entry a row. A block between one panel (see ``panel``) and two is worked on as it is; others take the way of `update`.
         lift : callable
-            ``block -> (regressors, targets)``, arrays that nobody needs afterwards. Called again for a block when the basis is renewed at it.
+            ``block -> (regressors, targets)``, arrays that nobody needs afterwards. Called again for a block when the basis is made of it or renewed at it.
         threads : int
+        regressors : callable, optional
+            ``block -> regressors``, if they cost less without targets.
         """
         with one_blas_thread(), ThreadPoolExecutor(threads) if threads > 1 else nullcontext() as pool:
             running = deque()
-            for block in blocks:
+            for block in self._begun(iter(blocks), lift, regressors or (lambda block: lift(block)[0])):
                 if not self._ready_for(len(block[0])):  # the basis is not made yet, rows wait, or will have to
                     self._collect(running, lift)
                     self.update(*lift(block))
@@ -130,6 +134,31 @@ class StreamingLeastSquares:
         panel = self.panel or (self._basis is not None and panel_rows(self._shapes[0]))
         return self._basis is not None and not self._waiting and panel <= rows < 2 * panel
 
+    def _begun(self, blocks, lift, regressors):
+        """The blocks that are still to be absorbed after a look at the first ones, of which the basis is made if they are panels."""
+        block = next(blocks, None) if self._basis is None and not self._waiting else None
+        if block is None:
+            return blocks
+        x, y = map(_two_dimensional, ("regressors", "targets"), lift(block))
+        p = x.shape[1]
+        panel = self.panel or panel_rows(p)
+        if not panel <= len(x) < min(2 * panel, _SAMPLE * p):
+            self.update(x, y)
+            return blocks
+        sample, seen = Sketch(p).add(x), [block]
+        while sample.rows < _SAMPLE * p and (block := next(blocks, None)) is not None:
+            seen.append(block)
+            sample.add(regressors(block))
+        self._begin(sample, (p, y.shape[1]))
+        return itertools.chain(seen, blocks)
+
+    def _begin(self, sample, shapes):
+        self._shapes = p, q = shapes
+        self._gram, self._cross = np.zeros((p, p)), np.zeros((p, q))
+        self._lengths, self._square = np.zeros(p), np.zeros(q)  # sums of squares of regressors and targets
+        self._basis = sample.basis()
+        self._examined = float(p)  # the trace of G is p or 2 p once the rows of the sample are in it, and its condition number some tens
+
     def _collect(self, running, lift, leave=0):
         """Add what was found of the first blocks, in order, but for the last ``leave``."""
         while len(running) > leave:
@@ -142,17 +171,12 @@ class StreamingLeastSquares:
 
     def _absorb(self, x, y):
         if self._basis is None:
-            p, q = self._shapes
-            self._gram, self._cross = np.zeros((p, p)), np.zeros((p, q))
-            self._lengths, self._square = np.zeros(p), np.zeros(q)  # sums of squares of regressors and targets
-            self._examined = 0.0
-            scale = powers_of_two(x)
-            self._basis = Basis.of(householder(x[:: max(1, len(x) // (8 * p))] / scale), scale)
+            self._begin(Sketch(x.shape[1]).add(x), self._shapes)
         self._add(_products(self._basis, x, y), lambda: (x, y))
 
     def _add(self, products, rows):
         """Add a panel's products; ``rows()`` gives the panel itself, should its rows leave the span of the basis."""
-        gram = self._gram + products.gram
+        gram = np.add(self._gram, products.gram, out=products.gram)
         if not np.trace(gram) <= _GROWTH * self._examined:
             condition = condition_number(gram + self._basis.ridge_gram())
             if condition > _WORST_GRAM:
@@ -221,7 +245,7 @@ class StreamingLeastSquares:
             self._work_off(self.rows)
         p, q = self._shapes
         new = StreamingLeastSquares(self.panel)
-        new._shapes, new._basis, new._examined = self._shapes, self._basis, 0.0
+        new._shapes, new._basis, new._examined = self._shapes, self._basis, float(p)
         new._gram, new._cross, new._lengths, new._square = np.zeros((p, p)), np.zeros((p, q)), np.zeros(p), np.zeros(q)
         return new
 
@@ -248,9 +272,10 @@ class StreamingLeastSquares:
         self._work_off(self.rows)
         L = cholesky(self._gram)
         basis = self._basis
-        rotated = solve_triangular(L, self._cross, trans="T", check_finite=False)  # Q^T targets
-        coefficients = basis.T @ solve_triangular(L, rotated, check_finite=False) / basis.scale[:, None]
-        return LeastSquares(coefficients, basis.factor(L) * basis.scale, rotated, self._lengths, self._square, self.rows, names)
+        rotated = blas.dtrsm(1.0, L, self._cross, trans_a=1)  # Q^T targets
+        coefficients = blas.dtrmm(1.0, basis.T, blas.dtrsm(1.0, L, rotated), overwrite_b=1)
+        coefficients /= basis.scale[:, None]
+        return LeastSquares(coefficients, basis, L, rotated, self._lengths, self._square, self.rows, names)
 
     def state(self):
         """All that is known of the rows, as a dict of plain arrays: store it with `numpy.savez`, continue with `from_state`.
@@ -267,7 +292,7 @@ class StreamingLeastSquares:
         return state | {
             "gram": self._gram, "cross": self._cross, "lengths": self._lengths, "square": self._square,
             "examined": np.array(self._examined), "T": basis.T, "scale": basis.scale, "bits": np.array(basis.bits), "ridge": basis.ridge,
-            "split": np.array(basis.split),
+            "exact": np.array(basis.exact),
         }  # fmt: skip
 
     @classmethod
@@ -282,7 +307,7 @@ class StreamingLeastSquares:
             self._examined = float(state["examined"])
             for key in ("gram", "cross", "lengths", "square"):
                 setattr(self, "_" + key, np.array(state[key], dtype=float))
-            basis = np.asfortranarray(state["T"]), np.array(state["scale"]), int(state["bits"]), np.array(state["ridge"]), bool(state["split"])
+            basis = np.asfortranarray(state["T"]), np.array(state["scale"]), int(state["bits"]), np.array(state["ridge"]), int(state["exact"])
             self._basis = Basis(*basis)
         return self
 
@@ -311,12 +336,30 @@ class LeastSquares:
         Of Psi D^-1; this is the one that counts, because rounding errors do not feel the scale of columns.
     """
 
-    def __init__(self, coefficients, R, rotated, lengths, square, rows, names=None):
-        self._coefficients, self.R, self.rotated, self.rows, self.names = coefficients, R, rotated, rows, names
+    def __init__(self, coefficients, basis, L, rotated, lengths, square, rows, names=None):
+        self._coefficients, self._basis, self._L, self.rotated, self.rows, self.names = coefficients, basis, L, rotated, rows, names
         self._least = np.maximum(square - sums_of_squares(rotated), 0)  # squared norm of the residual
         self._norms = np.where(lengths > 0, np.sqrt(lengths), 1.0)
-        self._singular = np.linalg.svd(R / self._norms, compute_uv=False)
-        self.rank = int(np.sum(self._singular > self._singular[0] * _smallest(rows)))
+
+    @cached_property
+    def R(self):
+        return self._basis.factor(self._L) * self._basis.scale
+
+    @cached_property
+    def rank(self):
+        p, smallest = len(self._L), _smallest(self.rows)
+        if math.sqrt(p) * np.linalg.norm(self._inverse) * smallest < 0.1:  # a bound on the condition number, which costs less than it does itself
+            return p
+        return int(np.sum(self._singular > self._singular[0] * smallest))
+
+    @cached_property
+    def _singular(self):
+        return np.linalg.svd(self.R / self._norms, compute_uv=False)
+
+    @cached_property
+    def _inverse(self):
+        """(R D^-1)^-1."""
+        return self._basis.inverse_of_factor(self._L) * (self._norms / self._basis.scale)[:, None]
 
     @property
     def coefficients(self):
@@ -342,9 +385,9 @@ class LeastSquares:
 
         First-order perturbation of least squares (P.-A. Wedin, BIT 13, 1973, 217) under independent errors of the entries.
         """
-        if self.rank < len(self.R):
+        if self.rank < len(self._L):
             return np.full(len(self._least), math.inf)
-        inverse = solve_triangular(self.R / self._norms, np.eye(len(self.R)), check_finite=False)
+        inverse = self._inverse
         rough = np.linalg.norm(inverse, axis=1)[:, None]
         scaled = self._coefficients * self._norms[:, None]
         along = rough * np.linalg.norm(scaled, axis=0) / math.sqrt(self.rows)
@@ -355,7 +398,7 @@ class LeastSquares:
 
     def require_full_rank(self):
         """Self, if the coefficients are determined; else a ValueError that says which regressors depend on each other."""
-        p = len(self.R)
+        p = len(self._L)
         if self.rows < p:
             raise ValueError(f"{self.rows} snapshot pairs cannot determine {p} functions; record at least {p} pairs or use a smaller dictionary.")
         if self.rank < p:
@@ -399,8 +442,7 @@ class _Products(NamedTuple):
 
 def _products(basis, x, y, overwrite=False):
     lengths, square = sums_of_squares(x), sums_of_squares(y)
-    if not (np.isfinite(lengths).all() and np.isfinite(square).all()):
-        raise ValueError("regressors or targets hold NaN, infinity or values too large to square; repair them first.")
+    require_finite(lengths, square)
     b = basis.whiten(x, overwrite)
     return _Products(b.T @ b, b.T @ y, lengths, square)
 
@@ -419,6 +461,11 @@ def _at_once(function, *arguments):
 def panel_rows(p):
     """Rows that are worked on at once."""
     return max(4096, 4 * p)
+
+
+def panels_of_a_basis(p):
+    """So many panels the first basis is made of, if they come as blocks that are lifted here."""
+    return -(-_SAMPLE * p // panel_rows(p))
 
 
 def _smallest(rows):

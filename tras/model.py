@@ -127,7 +127,8 @@ class KoopmanModel(BaseEstimator):
     def fit(self, recording, y=None, **streamed):
         """Identify from a `Recording`, or a sequence of recordings with the same channels.
 
-        The path of a file, `Recording.open(path)`, an iterator of recordings, or a callable that returns one: these may be larger than memory. See
+        The path of a file, `Recording.open(path)`, an `xarray.Dataset` of such a file, an iterator of recordings, or a callable that returns one: these
+        may be larger than memory. See
         `tras.streaming.fit` for them, and for the options ``ranges, checkpoint, chunk, progress, every, scheduler, parts, threads``.
 
         Raises
@@ -205,7 +206,8 @@ class KoopmanModel(BaseEstimator):
         rows = koopman.lifted_linear_rows if not self._lifts_inputs else koopman.rows if self.columns == "all" else koopman.state_rows
         blocks = koopman.snapshot_pairs(scaled, koopman.block_size(self.dictionary_), deal=koopman.SUIT if self._shares else 1)
         blocks = map(self._widen_hull, itertools.islice(blocks, most))
-        self._solver.update_lifted(blocks, koopman.lifting(self.dictionary_, rows), threads or processors())
+        lift, regressors = koopman.lifting(self.dictionary_, rows), koopman.regressors_alone(self.dictionary_, rows)
+        self._solver.update_lifted(blocks, lift, threads or processors(), regressors)
 
     def _widen_hull(self, block):
         if self.extrapolation == "linear" and self._lifts_inputs and self._tail:
