@@ -253,6 +253,22 @@ def test_tables_say_what_was_measured(compared, grown, tmp_path):
     assert set(pd.read_csv(tmp_path / "peers.csv")["processor"]) == {report.processor()}
 
 
+def test_growth_of_which_nothing_was_measured_is_left_out(compared, grown, tmp_path):
+    """As after ``--kept`` before any growth was measured."""
+    report.write(tmp_path, compared, pd.DataFrame([{"against": "pairs", "variant": "koopman_matrix", "pairs": 1000, "functions": 84, "outcome": "not measured", "runs": 0}]))
+    assert "How our cost grows" not in report.text(tmp_path) and "**Fit" in report.text(tmp_path)
+    report.draw(tmp_path)
+    assert not (tmp_path / "growth.png").exists() and (tmp_path / "peers.png").exists()
+
+
+def test_what_all_processors_gain_is_told_by_the_clock_and_the_floor_by_multiples(compared, tmp_path):
+    ours = compared[(compared["method"] == "tras") & (compared["what"] == "fit")].iloc[[0]]
+    rows = [ours.assign(method="floor", cpu_ratio=0.5), ours.assign(method=report.ALL_PROCESSORS, cpu_ratio=1.1, wall_ratio=0.57)]
+    report.write(tmp_path, pd.concat([compared, *rows]), None)
+    assert f"Ours over the floor: 2.00 at N = {ours['functions'].iloc[0]}." in report.text(tmp_path)
+    assert "| tras, all processors | 0.57x by the clock" in report.text(tmp_path)
+
+
 def test_tables_go_between_their_markers(compared, tmp_path):
     report.write(tmp_path, compared, None)
     page = tmp_path / "page.md"

@@ -12,6 +12,7 @@ from scipy import linalg
 from scipy.linalg import expm
 
 import tras
+from tras import dictionary as dictionaries
 from tras import koopman
 from tras.dictionary import Dictionary
 from tras.leastsquares import least_squares
@@ -48,8 +49,9 @@ def test_dealing_gives_every_pair_once_and_blocks_of_one_size(lengths, block, lo
 
 @pytest.mark.parametrize("inputs", ["none", "held", "moving", "states alone"])
 @pytest.mark.parametrize("dictionary", [tras.Monomials(3), tras.GaussianRBF(20, 1.0), tras.Mechanical(3), tras.Product(tras.Fourier(1), tras.Monomials(1))])
-def test_rows_are_the_liftings_of_both_ends(dictionary, inputs):
+def test_rows_are_the_liftings_of_both_ends(dictionary, inputs, monkeypatch):
     """... whether the second lifting is computed or is the next pair's first, in blocks beyond a strip of points and below."""
+    monkeypatch.setattr(dictionaries, "STRIP", 256)
     rng = np.random.default_rng(0)
     x = [rng.uniform(-1, 1, (k, 2)) for k in (700, 3, 2, 90)]
     u = [{"moving": rng.uniform(-1, 1, (len(a), 1)), "held": np.repeat(rng.uniform(-1, 1, (len(a) // 7 + 1, 1)), 7, axis=0)[: len(a)]}.get(inputs) for a in x]
@@ -58,7 +60,8 @@ def test_rows_are_the_liftings_of_both_ends(dictionary, inputs):
     for deal in (0, 1, koopman.SUIT):
         for x, u, y in koopman.snapshot_pairs(recording, 300, deal):
             fitted = dictionary.fit(x, u)
-            work = koopman.lifting(fitted, lift)
+            work, alone = koopman.lifting(fitted, lift), koopman.regressors_alone(fitted, lift)
+            assert np.array_equal(alone((x, u, y)), work((x, u, y))[0])
             for regressors, change in (lift(fitted, x, u, y), work((x, u, y)), work((x, u, y))):
                 single = [np.array([fitted(a, b) for a, b in zip(end, u)]) for end in (x, y)]
                 assert regressors.flags.f_contiguous and change.flags.f_contiguous

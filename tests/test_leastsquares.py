@@ -12,7 +12,7 @@ from scipy import linalg
 
 import tras
 from tras import koopman
-from tras.basis import Sketch
+from tras.basis import Sketch, powers_of_two
 from tras.leastsquares import StreamingLeastSquares, least_squares, panels_of_a_basis
 from tras.regularization import regularized
 
@@ -159,6 +159,7 @@ def test_scales_of_columns_do_not_matter():
     assert columnwise(scaled.coefficients * factors[:, None], plain.coefficients) <= 1e-12
     assert scaled.rank == 40
     assert np.max(plain.rounding_error) < 1e-14
+    assert scaled.rank == plain.rank == 40 and np.all(scaled.rounding_error < 1e-14)
 
 
 @pytest.mark.parametrize("size", [1e-6, 1e-9])
@@ -505,6 +506,37 @@ def test_a_basis_of_a_sketch_serves_all_its_rows(seed, p, rows, decades, blocks)
         singular = np.linalg.svd(B, compute_uv=False)
         assert singular[0] <= 60 * singular[-1] and 0.05 <= singular[-1] and singular[0] <= 20
     assert np.linalg.norm(B) ** 2 <= 9 * min(rows, p) + 1
+
+
+def test_a_basis_of_a_sketch_has_the_lengths_of_the_rows():
+    """Random sums keep lengths: singular values of 3000 rows in a basis of 2 p + 32 = 432 sums are within those of a random matrix of that shape."""
+    X = np.random.default_rng(0).normal(size=(3000, 200))
+    singular = np.linalg.svd(Sketch(200).add(X).basis().whiten(X), compute_uv=False)
+    ratio = (200 / 432) ** 0.5
+    assert 0.85 / (1 + ratio) <= singular[-1] and singular[0] <= 1.15 / (1 - ratio)
+
+
+def test_scales_are_those_of_all_rows_of_a_sketch():
+    X = np.random.default_rng(0).normal(size=(2000, 5))
+    X[:1000, 2] *= 1e6
+    assert np.array_equal(Sketch(5).add(X[:1000]).add(X[1000:]).basis().scale, powers_of_two(X))
+
+
+def test_a_basis_is_judged_when_its_sample_is_in_and_renewed_when_rows_leave_its_span():
+    """Two columns are nearly alike in the first of two blocks: that alone is no reason for another basis, which a third, new direction is."""
+    rng = np.random.default_rng(3)
+    X = rng.normal(size=(6 * 4100, 300))
+    X[:4100, 7] = X[:4100, 8] + 1e-5 * X[:4100, 7]
+    X[: 4 * 4100, 20] = X[: 4 * 4100, 21] + 1e-9 * X[: 4 * 4100, 20]
+    blocks = [(X[k : k + 4100], X[k : k + 4100] @ np.ones((300, 1))) for k in range(0, len(X), 4100)]
+    lift = lambda block: (block[0].copy(order="F"), block[1])  # noqa: E731
+    solver = StreamingLeastSquares().update_lifted(blocks[:4], lift)
+    basis = solver._basis
+    assert basis.same_as(Sketch(300).add(X[:4100]).add(X[4100:8200]).basis())
+    assert solver.emptied().update_lifted(blocks[:1], lift)._basis is basis
+    for other in (solver.emptied(), solver):
+        assert other.update_lifted(blocks[4:], lift)._basis is not basis
+        assert np.allclose(other.solve().coefficients, 1, rtol=0, atol=1e-9)
 
 
 def narrow_functions(rows, p=300):

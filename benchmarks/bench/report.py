@@ -10,6 +10,7 @@ from scipy.special import stdtrit
 from tras import files
 
 RESULTS = Path(__file__).resolve().parent.parent / "results"
+ALL_PROCESSORS = "tras, all processors"  # what it gains, the clock tells
 BEGIN, END = "<!-- bench: written by `make bench` -->", "<!-- end of bench -->"
 COMPARED, GROWN, EXPONENTS = "peers.csv", "growth.csv", "growth_exponents.csv"
 THEORY = {  # quantity -> what it grows with -> exponent
@@ -49,7 +50,7 @@ def exponent(x, y, level=0.95):
 
 
 def exponents(grown):
-    """Table of fitted exponents beside the theory: one row a quantity, what it grows with, and variant."""
+    """Table of fitted exponents beside the theory: one row a quantity, what it grows with, and variant; none of what has fewer than two points."""
     rows = []
     good = grown[grown["outcome"].fillna("") == ""]
     for (against, variant), part in good.groupby(["against", "variant"], sort=False):
@@ -58,7 +59,7 @@ def exponents(grown):
         for quantity, name in quantities.items():
             if column.nunique() > 1:
                 rows.append({"quantity": quantity, "against": against, "variant": variant, "theory": THEORY[quantity][against]} | exponent(column, part[name]))
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows, columns=["quantity", "against", "variant", "theory", "exponent", "low", "high", "points"])
 
 
 def processor():
@@ -94,7 +95,7 @@ def text(folder):
     """All tables of a folder as Markdown."""
     compared, grown = read(folder, COMPARED), read(folder, EXPONENTS)
     parts = [] if compared is None else comparison(compared)
-    if grown is not None:
+    if grown is not None and len(grown):
         parts.append("**How our cost grows**: exponents in the last decade, with 95 % intervals, beside the theory.\n\n" + growth_table(grown))
     return "\n\n".join(parts)
 
@@ -106,7 +107,7 @@ def comparison(table):
     dates = sorted(table["measured"].dropna()) if "measured" in table else []
     parts = [f"Measured {_period(dates)} on {table['processor'].iloc[0]}, one thread."]
     for pairs, part in fits.groupby("pairs"):
-        parts.append(f"**Fit, {_thousands(pairs)} pairs**: CPU seconds of ours, all others as multiples of it.\n\n" + _grid(part, _ratio))
+        parts.append(f"**Fit, {_thousands(pairs)} pairs**: CPU seconds of ours, all others as multiples of it.\n\n" + _grid(part, _ratio) + _over_the_floor(part))
     for pairs, part in fits.groupby("pairs"):
         head = f"**Memory of a fit, {_thousands(pairs)} pairs**: MiB at the peak, beyond what interpreter, libraries and the data take."
         parts.append(f"{head}\n\n{_grid(part, _memory)}")
@@ -148,7 +149,7 @@ def draw(folder):
     compared, grown, fitted = (read(folder, name) for name in (COMPARED, GROWN, EXPONENTS))
     if compared is not None:
         save_figure(figures.peers_figure(compared), compared, Path(folder) / "peers")
-    if grown is not None:
+    if grown is not None and len(fitted):
         save_figure(figures.growth_figure(grown, fitted), grown, Path(folder) / "growth")
 
 
@@ -188,8 +189,16 @@ def _failed(row):
 def _ratio(row):
     if _failed(row):
         return _failed(row)
+    if row["method"] == ALL_PROCESSORS:
+        return f"{row['wall_ratio']:.3g}x by the clock"
     few = f" ({int(row['runs'])} run{'' if row['runs'] == 1 else 's'})" if row["runs"] < 5 else ""
     return (f"{row['cpu_s']:.3g} s" if row["method"] == "tras" else f"{row['cpu_ratio']:.3g}x") + few
+
+
+def _over_the_floor(part):
+    floor = part[(part["method"] == "floor") & (part["outcome"] == "")].sort_values("functions") if "cpu_ratio" in part else part[:0]
+    found = [f"{1 / row['cpu_ratio']:.2f} at N = {row['functions']}" for _, row in floor.iterrows()]
+    return f"\n\nOurs over the floor: {', '.join(found)}." if found else ""
 
 
 def _memory(row):
