@@ -1,7 +1,7 @@
 """The Koopman matrix: K = Psi_x^+ Psi_y by least squares over all snapshot pairs (paper, (9)-(14)).
 
-The pairs stream through `tras.leastsquares` in blocks: memory does not grow with the number of samples, and coefficients are better than those
-of a QR decomposition. Fitted is the change D = K - I, because ``psi(y) - psi(x)`` is small and K near the identity: rounding errors are
+The pairs stream through `tras.leastsquares` in blocks: memory does not grow with the number of samples, and coefficients are as good as those
+of a QR decomposition or better. Fitted is the change D = K - I, because ``psi(y) - psi(x)`` is small and K near the identity: rounding errors are
 relative to D, which is what the logarithm needs, and functions that do not change (the constant, the inputs) get exactly zero.
 """
 

@@ -16,7 +16,8 @@ top of the new rows, a step of sequential TSQR (J. Demmel et al., SIAM J. Sci. C
 What is left is the rounding of B, where columns cancel. T is free to choose, so its entries are rounded to a coarse grid; the
 leading bits of Psi times T is then a sum of integers below 2^53, which floating point adds *exactly*, and only the trailing bits of
 Psi, 2^-10 or less of the whole, contribute rounding errors (error-free transformation: K. Ozaki et al., Numer. Algorithms 59,
-2012, 95); columns that cancel little are multiplied in one product. So coefficients are better than those of a Householder QR, by two to four digits where Psi is ill-conditioned.
+2012, 95); columns that cancel little are multiplied in one product. So coefficients are about as good as those of a Householder QR,
+and up to three digits better where Psi is ill-conditioned (`benchmarks/solver.py`).
 """
 
 import itertools

@@ -1,6 +1,6 @@
 """``make bench``: this package beside the field's, on the same data, with the same functions. See ``benchmarks/README.md``.
 
-    make bench                                                                whole, some 45 minutes, more on a busy machine
+    make bench                                                                whole, an hour, more on a busy machine
     make bench BENCH="--peers deeptime --pairs 50000 --functions 84"          a part: printed, not published
     make bench BENCH="--lock pykoop"                                          resolve a peer's lock file anew
 """
