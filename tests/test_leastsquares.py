@@ -1,5 +1,6 @@
 """Least squares over a stream of rows: accuracy against extended precision, rank, streaming, memory."""
 
+import copy
 import io
 import tracemalloc
 from fractions import Fraction
@@ -331,6 +332,17 @@ def test_merged_solvers_are_as_good_as_one(kind, common):
     assert np.allclose(fit.residual, straight.residual, rtol=1e-10)
     # ... and more rows may follow.
     assert merged.update(X[:6000], Y[:6000]).solve().rows == 30_000
+
+
+def test_a_copy_keeps_its_rows_when_the_original_goes_on(rows):
+    """Rows that were multiplied, and rows that wait."""
+    X, Y = rows
+    solver = StreamingLeastSquares().update(X[:5000], Y[:5000]).update(X[5000:5600], Y[5000:5600])
+    kept = copy.copy(solver)
+    before = {key: value.copy() for key, value in kept.state().items()}
+    solver.update(X[5600:6000], Y[5600:6000]).update(X, Y).update(X[:10], Y[:10])
+    assert all(np.array_equal(value, before[key]) for key, value in kept.state().items())
+    assert kept.rows == 5600 and np.array_equal(kept.solve().R, StreamingLeastSquares().update(X[:5000], Y[:5000]).update(X[5000:5600], Y[5000:5600]).solve().R)
 
 
 def test_merging_nothing_and_what_does_not_fit(rows):

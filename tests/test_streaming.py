@@ -1,5 +1,6 @@
 """Fits of data that are read in pieces: the same model as in memory, no pair lost or invented, interrupted and gone on with."""
 
+import itertools
 import json
 import tracemalloc
 
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 import tras
 from tras import koopman, streaming
 from tras.checkpoint import CheckpointError
+from tras.leastsquares import StreamingLeastSquares
 from tras.pieces import Piece, RecordingFile, Stream, UnreadableError, without
 
 CHUNK = 5000  # more than a panel of the solver
@@ -237,6 +239,36 @@ def test_interrupted_and_resumed_has_the_same_bits(long_recording, tmp_path, fai
             assert np.array_equal(getattr(again, name), getattr(undisturbed, name)), name
     assert source.readings == 4  # survey, fit, and one each time it went on
     assert [p.name for p in tmp_path.iterdir()] == ["fit.npz"]
+
+
+@pytest.mark.parametrize("failure", [KeyboardInterrupt(), MemoryError("no room.")])
+@pytest.mark.parametrize("at", [2, 4, 5])
+def test_interrupted_in_the_middle_of_a_chunk_goes_on_from_its_beginning(long_recording, tmp_path, monkeypatch, failure, at):
+    """Two panels a chunk; the first chunk that is half absorbed is not counted, and none is lost that was."""
+    undisturbed = plain(strength=0.01).fit(lambda: long_recording.cut_all(801), chunk=9000)
+    calls = []
+
+    def add(self, products, rows, original=StreamingLeastSquares._add):
+        original(self, products, rows)
+        calls.append(1)
+        if len(calls) == at:
+            raise failure
+
+    monkeypatch.setattr(StreamingLeastSquares, "_add", add)
+    checkpoint = tmp_path / "fit.npz"
+    with pytest.raises(type(failure)):
+        plain(strength=0.01).fit(lambda: long_recording.cut_all(801), chunk=9000, checkpoint=checkpoint)
+    monkeypatch.undo()
+    assert checkpoint.exists() == (at > 2)
+    if at > 2:
+        with np.load(checkpoint) as file:
+            done = json.loads(str(file["header"]))["done"]
+            assert done > 0 and file["solver.rows"] == sum(len(x) - 1 for x, _ in itertools.islice(long_recording.cut_all(801), done))
+    again = plain(strength=0.01).fit(lambda: long_recording.cut_all(801), chunk=9000, checkpoint=checkpoint)
+    for name in ("koopman_matrix", "outward_", "condition_number", "pairs_"):
+        assert np.array_equal(getattr(again, name), getattr(undisturbed, name)), name
+    for edge in ("low", "high", "centre", "axes"):
+        assert np.array_equal(getattr(again.hull_, edge), getattr(undisturbed.hull_, edge)), edge
 
 
 def test_checkpoints_on_the_way_change_no_bit(long_recording, path, tmp_path, monkeypatch):

@@ -187,9 +187,9 @@ class StreamingLeastSquares:
                 gram = self._gram + products.gram
             self._examined = np.trace(gram)
         self._gram = gram
-        self._cross += products.cross
-        self._lengths += products.lengths
-        self._square += products.square
+        self._cross = np.add(self._cross, products.cross, out=products.cross)
+        self._lengths = self._lengths + products.lengths
+        self._square = self._square + products.square
 
     def _renew_basis(self, x, gram):
         """A basis for all rows so far and those of ``x``: from ``gram``, which holds both, or by Householder QR."""
@@ -239,6 +239,12 @@ class StreamingLeastSquares:
         self.rows += other.rows
         self._examined = 0.0  # the next rows decide whether the basis still serves
         return self
+
+    def __copy__(self):
+        """Another solver of the same rows. Arrays are replaced, never changed, so both may hold them: a copy costs nothing by itself."""
+        new = StreamingLeastSquares(self.panel)
+        new.__dict__.update(self.__dict__, _waiting=list(self._waiting))
+        return new
 
     def emptied(self):
         """A solver without rows that begins with this one's basis, for rows of the same kind."""

@@ -5,6 +5,7 @@ centres of a dictionary and the check of the integrator's step, and on it the st
 """
 
 import contextlib
+import copy
 import time
 import zlib
 from collections import deque
@@ -238,7 +239,7 @@ class _Log:
             header, _, restore = saved
             restore(model)
             self.done, self.crc, self.finished, self.stored = header["done"], header["crc"], header["finished"], header["done"]
-        self.sound, self.read, self.written = True, 0, time.monotonic()
+        self.read, self.written = 0, time.monotonic()
 
     def knows(self, number, piece):
         """Whether the piece was absorbed before the checkpoint was written; a CheckpointError if those before it were others."""
@@ -260,19 +261,26 @@ class _Log:
 
     @contextlib.contextmanager
     def chunk_until(self, number, last=False):
-        """Around the absorbing of a chunk that ends with a piece: counted when that is done."""
-        self.sound = False
-        yield
-        self.sound, self.done, self.crc, changed = True, number + 1, self.read, last != self.finished
+        """Around the absorbing of a chunk that ends with a piece: counted when that is done, taken back when it fails or is interrupted."""
+        solver, hull = copy.copy(self.model._solver), copy.deepcopy(getattr(self.model, "hull_", None))
+        try:
+            yield
+        except BaseException:
+            self.model._solver = solver
+            vars(self.model).pop("hull_", None)
+            if hull is not None:
+                self.model.hull_ = hull
+            raise
+        self.done, self.crc, changed = number + 1, self.read, last != self.finished
         self.finished = last
         if self.path is not None and (changed if last else time.monotonic() - self.written >= self.every):
             self._write()
 
     def rescue(self):
-        """Write what is not written yet, unless a chunk is half absorbed; whether there is a checkpoint."""
+        """Write what is not written yet; whether there is a checkpoint."""
         if self.path is None:
             return False
-        if self.sound and self.done > self.stored:
+        if self.done > self.stored:
             self._write()
         return Path(self.path).exists()
 
