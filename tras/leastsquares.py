@@ -5,8 +5,8 @@ and takes several times as long. Here the rows are first written in a basis T in
 
     B = Psi T,   T ~ R0^-1,   R0 the triangular factor of a sketch of the first rows,
 
-and the normal equations are formed in that basis, G = sum B^T B and C = sum B^T Y. G has a condition number of order 10, so
-squaring it costs nothing, and K = T G^-1 C. Preconditioning by the factor of random sums of the rows is the idea of V. Rokhlin and
+and the normal equations are formed in that basis, G = sum B^T B and C = sum B^T Y. G has a condition number of some tens
+for the rows that the factor saw and mostly below 1e5 for all, so that squaring it costs little, and K = T G^-1 C. Preconditioning by the factor of random sums of the rows is the idea of V. Rokhlin and
 M. Tygert (PNAS 105, 2008, 13212), of Blendenpik (H. Avron, P. Maymounkov and S. Toledo, SIAM J. Sci. Comput. 32, 2010, 1217)
 and of E. N. Epperly, M. Meier and Y. Nakatsukasa (arXiv:2406.03468, 2024); a Cholesky factor in a nearly orthonormal basis is the
 second half of CholeskyQR2 (Y. Yamamoto et al., ETNA 44, 2015, 306; with a shift: T. Fukaya et al., SIAM J. Sci. Comput. 42, 2020,
