@@ -5,13 +5,14 @@ and takes several times as long. Here the rows are first written in a basis T in
 
     B = Psi T,   T ~ R0^-1,   R0 the triangular factor of a sketch of the first rows,
 
-and the normal equations are formed in that basis, G = sum B^T B and C = sum B^T Y. G has a condition number of some tens
-for the rows that the factor saw and mostly below 1e5 for all, so that squaring it costs little, and K = T G^-1 C. Preconditioning by the factor of random sums of the rows is the idea of V. Rokhlin and
-M. Tygert (PNAS 105, 2008, 13212), of Blendenpik (H. Avron, P. Maymounkov and S. Toledo, SIAM J. Sci. Comput. 32, 2010, 1217)
-and of E. N. Epperly, M. Meier and Y. Nakatsukasa (arXiv:2406.03468, 2024); a Cholesky factor in a nearly orthonormal basis is the
-second half of CholeskyQR2 (Y. Yamamoto et al., ETNA 44, 2015, 306; with a shift: T. Fukaya et al., SIAM J. Sci. Comput. 42, 2020,
-A477). If later rows leave the span of the sample, G tells, and the basis is renewed with a Householder QR of the factor so far on
-top of the new rows, a step of sequential TSQR (J. Demmel et al., SIAM J. Sci. Comput. 34, 2012, A206).
+and the normal equations are formed in that basis, G = sum B^T B and C = sum B^T Y. G has a condition number of some tens for
+the rows that the factor saw and mostly below 1e5 for all, so that squaring it costs little, and K = T G^-1 C. Preconditioning
+by the factor of random sums of the rows is the idea of V. Rokhlin and M. Tygert (PNAS 105, 2008, 13212), of Blendenpik (H.
+Avron, P. Maymounkov and S. Toledo, SIAM J. Sci. Comput. 32, 2010, 1217) and of E. N. Epperly, M. Meier and Y. Nakatsukasa
+(arXiv:2406.03468, 2024); a Cholesky factor in a nearly orthonormal basis is the second half of CholeskyQR2 (Y. Yamamoto et al.,
+ETNA 44, 2015, 306; with a shift: T. Fukaya et al., SIAM J. Sci. Comput. 42, 2020, A477). If later rows leave the span of the
+sample, G tells, and the basis is renewed with a Householder QR of the factor so far on top of the new rows, a step of
+sequential TSQR (J. Demmel et al., SIAM J. Sci. Comput. 34, 2012, A206).
 
 What is left is the rounding of B, where columns cancel. T is free to choose, so its entries are rounded to a coarse grid; the
 leading bits of Psi times T is then a sum of integers below 2^53, which floating point adds *exactly*, and only the trailing bits of
@@ -150,14 +151,15 @@ class StreamingLeastSquares:
         while sample.rows < _SAMPLE * p and (block := next(blocks, None)) is not None:
             seen.append(block)
             sample.add(regressors(block))
-        self._begin(sample, (p, y.shape[1]))
+        self._begin(sample.basis(), (p, y.shape[1]))
         return itertools.chain(seen, blocks)
 
-    def _begin(self, sample, shapes):
-        self._shapes = p, q = shapes
+    def _begin(self, basis, shapes):
+        """No products yet, in a basis that is to serve from here on."""
+        self._basis, self._shapes = basis, shapes
+        p, q = shapes
         self._gram, self._cross = np.zeros((p, p)), np.zeros((p, q))
         self._lengths, self._square = np.zeros(p), np.zeros(q)  # sums of squares of regressors and targets
-        self._basis = sample.basis()
         self._examined = float(p)  # the trace of G is p or 2 p once the rows of the sample are in it, and its condition number some tens
 
     def _collect(self, running, lift, leave=0):
@@ -172,7 +174,7 @@ class StreamingLeastSquares:
 
     def _absorb(self, x, y):
         if self._basis is None:
-            self._begin(Sketch(x.shape[1]).add(x), self._shapes)
+            self._begin(Sketch(x.shape[1]).add(x).basis(), self._shapes)
         self._add(_products(self._basis, x, y), lambda: (x, y))
 
     def _add(self, products, rows):
@@ -250,10 +252,8 @@ class StreamingLeastSquares:
         """A solver without rows that begins with this one's basis, for rows of the same kind."""
         if self._basis is None:
             self._work_off(self.rows)
-        p, q = self._shapes
         new = StreamingLeastSquares(self.panel)
-        new._shapes, new._basis, new._examined = self._shapes, self._basis, float(p)
-        new._gram, new._cross, new._lengths, new._square = np.zeros((p, p)), np.zeros((p, q)), np.zeros(p), np.zeros(q)
+        new._begin(self._basis, self._shapes)
         return new
 
     def solve(self, names=None):
