@@ -8,7 +8,7 @@ import pytest
 import xarray
 
 import tras
-from tras.pieces import RecordingDataset, UnreadableError
+from tras.lazy import RecordingDataset, UnreadableError
 
 CHUNK = 2000
 OPENED = [{}, {"chunks": {}}, {"chunks": {"sample": 700}}]

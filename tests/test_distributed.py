@@ -47,7 +47,7 @@ def same(a, b):
 def test_none_and_several_workers_agree_to_the_bit(paths, cluster):
     """... for the same parts. Another partition, or none, adds the same rows in another order."""
     alone = model().fit(paths, chunk=CHUNK, parts=5)
-    assert alone.pairs_ == sum(tras.Recording.open(path).pairs for path in paths)
+    assert alone.pairs_ == sum(tras.open_recording(path).pairs for path in paths)
     assert same(alone, model().fit(paths, chunk=CHUNK, parts=5, scheduler=cluster.scheduler_address))
     for other in (model().fit(paths, chunk=CHUNK), model().fit(paths, chunk=CHUNK, parts=2)):
         assert np.abs(other.koopman_matrix - alone.koopman_matrix).max() <= 1e-12 and other.strength_ == alone.strength_
@@ -124,7 +124,7 @@ def test_a_part_that_fails_says_why(paths, cluster, tmp_path):
     """A file that changed after the first reading."""
     copy = tmp_path / "copy.nc"
     copy.write_bytes(paths[0].read_bytes())
-    file = tras.Recording.open(copy)
+    file = tras.open_recording(copy)
     pendulum(9001, 7).select(inputs=[]).write(copy)
     with pytest.raises(ValueError, match="copy.nc: channel 'u' of trajectory 0 cannot be read"):
         model().fit([file], chunk=CHUNK, parts=2, scheduler=cluster.scheduler_address, ranges={"phi": (-3, 3), "phidot": (-3, 3), "u": (-2, 2)})

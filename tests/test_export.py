@@ -89,7 +89,7 @@ def error(model, found, true):
 
 def compiled(model, path):
     """The generated functions, as Python functions of arrays."""
-    files = model.export_c(path)
+    files = tras.export.to_c(model, path)
     library = path.with_suffix(".so")
     flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", "-shared", "-fPIC"]
     made = subprocess.run([CC, *flags, str(files[1]), "-o", str(library), "-lm"], capture_output=True, text=True)
@@ -115,8 +115,8 @@ def test_c_predicts_what_python_predicts(case, fitted, experiment, tmp_path):
     x0, inputs = runs(model, experiment, d + 6)
     true = model.simulate(x0 if d else x0[:, 0], inputs)
     assert np.isfinite(true).all()
-    if hasattr(model, "hull_"):  # there are runs on both sides of its edge
-        x = (stacked(model, x0, inputs) - model._delayed(model.x_offset_, model.u_offset_)) / model._z_scale
+    if model.hull_ is not None:  # there are runs on both sides of its edge
+        x = (stacked(model, x0, inputs) - model.channels_.z_offset) / model.channels_.z_scale
         points = np.hstack([x, (inputs[:, d] - model.u_offset_) / model.u_scale_]).T
         outside = np.abs(model.hull_.nearest(points) - points).max(axis=0) > 1e-9
         assert 5 <= outside.sum() <= 50
@@ -157,7 +157,7 @@ def test_c_of_a_system_without_inputs(predictor, tmp_path):
 @needs_cc
 def test_c_may_write_the_next_state_over_the_present_one(fitted, experiment, tmp_path):
     model = fitted("GaussianRBF", "one_step", 2, "linear")
-    model.export_c(tmp_path / "rig.c")
+    tras.export.to_c(model, tmp_path / "rig.c")
     call = compiled(model, tmp_path / "rig.c")
     x0, inputs = runs(model, experiment, 3)
     x = stacked(model, x0, inputs)[0]
@@ -183,7 +183,7 @@ def octave(folder, script):
 @pytest.mark.parametrize("case", SOME, ids=str)
 def test_octave_predicts_what_python_predicts(case, fitted, experiment, tmp_path):
     model = fitted(*case)
-    model.export_mat(tmp_path / "rig.mat")
+    tras.export.to_matlab(model, tmp_path / "rig.mat")
     d, n, samples = model.delays, len(model.x_scale_), model.delays + 6
     x0, inputs = runs(model, experiment, samples)
     true = model.simulate(x0 if d else x0[:, 0], inputs)
@@ -206,14 +206,14 @@ def test_octave_without_inputs(tmp_path):
     scripts = {"one_step": "a_step([0.3; -0.4], zeros(0, 1))", "lifted_linear": "b_read(b_step(b_lift([0.3; -0.4]), zeros(0, 1)))"}
     for predictor, script in scripts.items():
         model = tras.KoopmanModel(tras.Monomials(2), predictor, strength=0.0).fit(recording)
-        model.export_mat(tmp_path / f"{script[0]}.mat")
+        tras.export.to_matlab(model, tmp_path / f"{script[0]}.mat")
         true = model.simulate([0.3, -0.4], np.empty((2, 0)))[1]
         assert error(model, octave(tmp_path, f"out = {script}")[:, 0], true) <= 1e-12
 
 
 def test_mat_file_holds_plain_arrays(fitted, tmp_path):
     model = fitted("Union", "vector_field", 0, "linear")
-    model.export_mat(tmp_path / "rig.mat")
+    tras.export.to_matlab(model, tmp_path / "rig.mat")
     file = loadmat(tmp_path / "rig.mat", simplify_cells=True)
     wanted = {"K": model.koopman_matrix, "A": model.generator, "W": model.W_, "x_scale": model.x_scale_, "u_offset": model.u_offset_}
     for key, value in wanted.items():
@@ -224,7 +224,7 @@ def test_mat_file_holds_plain_arrays(fitted, tmp_path):
     assert [part["name"] for part in parts] == ["Monomials", "GaussianRBF"] and parts[0]["degree"] == 2
     assert np.array_equal(parts[1]["learnt_centres"], model.dictionary_.parts_[1].centres_)
     linear = fitted("Monomials", "lifted_linear", 0, "linear")
-    linear.export_mat(tmp_path / "linear.mat")
+    tras.export.to_matlab(linear, tmp_path / "linear.mat")
     assert np.array_equal(loadmat(tmp_path / "linear.mat")["B"], linear.B_)
 
 
@@ -238,7 +238,7 @@ def test_state_space_simulates_what_the_model_simulates(case, fitted, experiment
     x0, inputs = runs(model, experiment, 60, count=2)
     true = model.simulate(x0[0] if d else x0[0, 0], inputs[0])[d:]
     z0 = model.lift(stacked(model, x0, inputs)[0])
-    system = model.to_statespace()
+    system = tras.export.to_statespace(model)
     assert isinstance(system, control.StateSpace) and system.dt == 0.01
     assert system.output_labels == list(model.state_names_) and system.input_labels == ["u_phi", "u_psi"]
     response = control.forced_response(system, np.arange(60 - d) * 0.01, inputs[0, d:].T, z0)
@@ -248,7 +248,7 @@ def test_state_space_simulates_what_the_model_simulates(case, fitted, experiment
     assert np.array_equal(system.A[0], np.eye(len(z0))[0]) and not system.B[0].any()  # the constant stays one
     # Without python-control the same matrices.
     monkeypatch.setitem(sys.modules, "control", None)
-    plain = model.to_statespace()
+    plain = tras.export.to_statespace(model)
     assert isinstance(plain, export.StateSpace) and plain.dt == 0.01
     assert all(np.array_equal(getattr(plain, name), getattr(system, name)) for name in "ABCD")
 
@@ -268,7 +268,7 @@ def run(text, channels, points):
 def test_formulas_say_what_the_model_computes(case, tolerance, fitted, experiment):
     model = fitted(*case)
     recording = experiment[:8].select(states=model.state_names_, inputs=model.input_names_)
-    text = model.formulas(recording, tolerance=tolerance)
+    text = tras.export.formulas(model, recording, tolerance=tolerance)
     late = recording.delayed(model.delays, inputs=model.predictor == "one_step")
     x, u = (np.concatenate(part)[::7] for part in zip(*late))
     channels = export.identifiers([*late.state_names, *late.input_names])
@@ -276,9 +276,9 @@ def test_formulas_say_what_the_model_computes(case, tolerance, fitted, experimen
     if model.predictor == "vector_field":
         wanted = size = model.vector_field(x, u)
     else:
-        z = np.hstack([(x - model._delayed(model.x_offset_, model.u_offset_)) / model._z_scale, (u - model.u_offset_) / model.u_scale_])
+        z = np.hstack([(x - model.channels_.z_offset) / model.channels_.z_scale, (u - model.u_offset_) / model.u_scale_])
         n = len(model.x_scale_)
-        wanted = model._step(z.T).T[:, :n] * model.x_scale_ + model.x_offset_
+        wanted = model.map()(z.T).T[:, :n] * model.x_scale_ + model.x_offset_
         size = wanted - x[:, :n]
     rms = lambda v: np.sqrt(np.mean(v**2, axis=0))  # noqa: E731
     # The tolerance holds over 2000 samples of the recording; these are others.
@@ -290,28 +290,28 @@ def test_formulas_are_the_systems_own():
     recording = ode_recording(lambda x, u: [x[1], -2 * x[0] - 0.5 * x[1] - x[0] ** 3 + u[0]], 0.02, n=2, m=1, trajectories=60)
     named = tras.Recording(recording.states, recording.inputs, 0.02, state_names=["x", "v"], input_names=["u"])
     model = tras.KoopmanModel(tras.Monomials(5), strength=0.0).fit(named)
-    text = model.formulas(named, tolerance=0.01)
+    text = tras.export.formulas(model, named, tolerance=0.01)
     assert text.splitlines()[-2:] == ["dx_dt = v", "dv_dt = -2*x + u - x**3 - 0.5*v"]
-    assert r"\frac{d v}{d t} &= -2 \, x + u - {x}^{3} - 0.5 \, v" in model.formulas(named, tolerance=0.01, latex=True)
+    assert r"\frac{d v}{d t} &= -2 \, x + u - {x}^{3} - 0.5 \, v" in tras.export.formulas(model, named, tolerance=0.01, latex=True)
     assert "dv_dt: 52 of 56 terms left out" in text
 
 
 def test_latex_is_latex(fitted):
     model = fitted("GaussianRBF", "vector_field", 0, "linear")
-    latex = model.formulas(latex=True, tolerance=0.01)
+    latex = tras.export.formulas(model, latex=True, tolerance=0.01)
     assert r"\frac{d \phi}{d t} &= " in latex and r"\dot{\phi}" in latex and r"u_{\psi}" in latex and r"\exp\left(-" in latex
     assert latex.count("{") == latex.count("}") and latex.count(r"\left") == latex.count(r"\right")
     block = latex[latex.index(r"\begin") :]
     assert "\\dot" not in latex2mathml.converter.convert(block) and "<mfrac>" in latex2mathml.converter.convert(block)
     # The same numbers in the same order as the text.
-    digits = [word for line in model.formulas(tolerance=0.01).splitlines() if not line.startswith("#") for word in line.split(" = ", 1)[1].split()]
+    digits = [word for line in tras.export.formulas(model, tolerance=0.01).splitlines() if not line.startswith("#") for word in line.split(" = ", 1)[1].split()]
     assert all(w.partition("*")[0] in block for w in digits if w.partition("*")[0].replace(".", "").isdigit())
 
 
 def test_formulas_of_a_saved_model_are_the_same(fitted, tmp_path):
     model = fitted("Union", "one_step", 0, "linear")
     model.save(tmp_path / "a.npz")
-    assert tras.load_model(tmp_path / "a.npz").formulas() == model.formulas()
+    assert tras.export.formulas(tras.load_model(tmp_path / "a.npz")) == tras.export.formulas(model)
 
 
 # ------------------------------------------------------------------------------------------------------------------- names, bytes
@@ -321,8 +321,8 @@ def test_same_model_same_bytes(fitted, tmp_path):
     for name in ("a", "b"):
         model = fitted("Union", "vector_field", 0, "linear")
         (tmp_path / name).mkdir()
-        model.export_mat(tmp_path / name / "rig.mat")
-        model.export_c(tmp_path / name / "rig.c")
+        tras.export.to_matlab(model, tmp_path / name / "rig.mat")
+        tras.export.to_c(model, tmp_path / name / "rig.c")
     files = sorted(path.name for path in (tmp_path / "a").iterdir())
     assert files == ["rig.c", "rig.h", "rig.mat", "rig_field.m", "rig_step.m"]
     for name in files:
@@ -338,14 +338,14 @@ def test_awkward_names_are_made_ones_that_compile(tmp_path):
     names = {"state_names": ["3 angle *\\ (°)", "while"], "input_names": ["exp"], "state_units": ["/* */ % '", "a\nb"]}
     model = tras.KoopmanModel(tras.Monomials(2), "one_step", strength=0.0).fit(tras.Recording(plain.states, plain.inputs, 0.1, **names))
     true = model.simulate([0.1, 0.2], [[0.3], [0.3]])[1]
-    text = model.formulas(tolerance=0)
+    text = tras.export.formulas(model, tolerance=0)
     assert "Names: x3_angle is '3 angle *\\\\ (°)', while_ is 'while', exp_ is 'exp'." in text
     assert np.allclose(run(text, ["x3_angle", "while_", "exp_"], [[0.1, 0.2, 0.3]])[0], true, rtol=1e-12)
     if CC:
         call = compiled(model, tmp_path / "2 rigs.c")
         assert error(model, call("x2_rigs_step", 2, [0.1, 0.2], [0.3]), true) <= 1e-12
         assert "'2 rigs' is no name in the language" in (tmp_path / "2 rigs.h").read_text()
-    model.export_mat(tmp_path / "2 rigs.mat")
+    tras.export.to_matlab(model, tmp_path / "2 rigs.mat")
     if OCTAVE:
         assert error(model, octave(tmp_path, "out = x2_rigs_step([0.1; 0.2], 0.3)")[:, 0], true) <= 1e-12
 
@@ -367,13 +367,13 @@ def test_a_dictionary_of_ones_own_travels_too(experiment, tmp_path):
 
     recording = experiment[:4].select(inputs=["u_phi", "u_psi"])
     model = tras.KoopmanModel(Tanh(), strength=0.0).fit(recording)
-    assert "*tanh(" in model.formulas(tolerance=0)
+    assert "*tanh(" in tras.export.formulas(model, tolerance=0)
     if CC:
         call = compiled(model, tmp_path / "own.c")
         x, u = recording.states[0, 7], recording.inputs[0, 7]
         assert error(model, call("own_step", 4, x, u), model.simulate(x, [u, u])[1]) <= 1e-12
     clipped = tras.KoopmanModel(Clipped(), "one_step", strength=0.0).fit(recording)
-    for call in (lambda: clipped.export_c(tmp_path / "no.c"), lambda: clipped.export_mat(tmp_path / "no.mat"), clipped.formulas):
+    for call in (lambda: tras.export.to_c(clipped, tmp_path / "no.c"), lambda: tras.export.to_matlab(clipped, tmp_path / "no.mat"), lambda: tras.export.formulas(clipped)):
         with pytest.raises(ValueError, match="dictionary 'Clipped' cannot be written as formulas .*its _fill may use"):
             call()
     assert not list(tmp_path.glob("no*"))
@@ -420,7 +420,7 @@ def test_brackets_stand_where_they_must(experiment):
     recording = experiment[:4].select(inputs=["u_phi", "u_psi"])
     model = tras.KoopmanModel(Odd(), strength=0.0).fit(recording)
     x, u = recording.states[0], recording.inputs[0]
-    values = run(model.formulas(tolerance=0), [*model.state_names_, *model.input_names_], np.hstack([x, u]))
+    values = run(tras.export.formulas(model, tolerance=0), [*model.state_names_, *model.input_names_], np.hstack([x, u]))
     assert np.allclose(values, model.vector_field(x, u), rtol=1e-9, atol=1e-9)
 
 
@@ -453,16 +453,16 @@ def test_symbols_are_the_functions(dictionary):
 @pytest.mark.parametrize(
     "call, words",
     [
-        (lambda m: tras.KoopmanModel(tras.Monomials(2)).export_c("a.c"), "not fitted"),
-        (lambda m: tras.KoopmanModel(tras.Monomials(2)).export_mat("a.mat"), "not fitted"),
-        (lambda m: tras.KoopmanModel(tras.Monomials(2)).to_statespace(), "not fitted"),
-        (lambda m: tras.KoopmanModel(tras.Monomials(2)).formulas(), "not fitted"),
-        (lambda m: m("vector_field").to_statespace(), "predictor is 'vector_field', which is no linear system; fit with predictor='lifted_linear'"),
-        (lambda m: m("lifted_linear").formulas(), "predictor is 'lifted_linear', which steps in the lifted space.*use to_statespace"),
-        (lambda m: m("one_step").formulas(tolerance=-1), "tolerance is -1; give the error to allow"),
-        (lambda m: m("one_step").formulas(tolerance="small"), "tolerance is 'small'"),
-        (lambda m: m("one_step").export_c("a.cpp"), "ends in '.cpp'; give one that ends in .c"),
-        (lambda m: m("one_step").export_mat("a"), "ends in ''; give one that ends in .mat"),
+        (lambda m: tras.export.to_c(tras.KoopmanModel(tras.Monomials(2)), "a.c"), "not fitted"),
+        (lambda m: tras.export.to_matlab(tras.KoopmanModel(tras.Monomials(2)), "a.mat"), "not fitted"),
+        (lambda m: tras.export.to_statespace(tras.KoopmanModel(tras.Monomials(2))), "not fitted"),
+        (lambda m: tras.export.formulas(tras.KoopmanModel(tras.Monomials(2))), "not fitted"),
+        (lambda m: tras.export.to_statespace(m("vector_field")), "predictor is 'vector_field', which is no linear system; fit with predictor='lifted_linear'"),
+        (lambda m: tras.export.formulas(m("lifted_linear")), "predictor is 'lifted_linear', which steps in the lifted space.*use to_statespace"),
+        (lambda m: tras.export.formulas(m("one_step"), tolerance=-1), "tolerance is -1; give the error to allow"),
+        (lambda m: tras.export.formulas(m("one_step"), tolerance="small"), "tolerance is 'small'"),
+        (lambda m: tras.export.to_c(m("one_step"), "a.cpp"), "ends in '.cpp'; give one that ends in .c"),
+        (lambda m: tras.export.to_matlab(m("one_step"), "a"), "ends in ''; give one that ends in .mat"),
     ],
 )
 def test_mistakes_are_named(call, words, fitted):

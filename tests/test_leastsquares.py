@@ -132,7 +132,7 @@ def test_degree_4_on_reference_driven_data_within_1e_8_of_extended_precision(clo
     """K of the model as users fit it, 50 000 pairs, condition 5e8: plain Gram is off by 500 %, LAPACK's QR by 4e-8."""
     model = tras.KoopmanModel(tras.Monomials(4), "one_step", regularization=None).fit(closed_loop)
     assert len(model.names_) == model.rank_ == 210 and model.condition_number > 1e8
-    x, u, y = (np.concatenate(part) for part in zip(*koopman.snapshot_pairs(model._scaled(closed_loop), 10**6)))
+    x, u, y = (np.concatenate(part) for part in zip(*koopman.snapshot_pairs(model.channels_.scaled(closed_loop), 10**6)))
     assert len(x) == 50000
     X, D = koopman.rows(model.dictionary_, x, u, y)
     some = [1, 2, 3, 4, 9, 100, 150]  # the states, and functions of degree 2 to 4

@@ -6,6 +6,7 @@ from scipy.linalg import expm
 
 import tras
 from tras import koopman, rollout
+from tras.hull import Hull, outward_rates, over_a_sample
 
 BOUNDED = [tras.Monomials(3), tras.Exponentials(), tras.GaussianRBF(20)]
 
@@ -23,7 +24,7 @@ def cloud():
 
 
 def test_inside_the_hull_nothing_changes(cloud):
-    hull = rollout.Hull(cloud)
+    hull = Hull(cloud)
     assert hull.nearest(cloud) is cloud
     # A quarter of the half-range more is allowed on each side, no more than that, along the principal axes.
     t = hull.axes.T @ (cloud - hull.centre)
@@ -40,7 +41,7 @@ def test_inside_the_hull_nothing_changes(cloud):
 
 
 def test_outside_it_is_the_nearest_point_of_the_box(cloud):
-    hull = rollout.Hull(cloud)
+    hull = Hull(cloud)
     assert np.allclose(hull.axes.T @ np.cov(cloud) @ hull.axes, np.diag(np.linalg.eigvalsh(np.cov(cloud))), atol=1e-12)
     rng = np.random.default_rng(1)
     z = rng.uniform(-4, 4, (3, 200))
@@ -58,14 +59,14 @@ def test_outside_it_is_the_nearest_point_of_the_box(cloud):
 
 
 def test_a_box_far_from_the_origin_is_not_its_mirror_image(cloud):
-    hull = rollout.Hull(cloud + 10)
+    hull = Hull(cloud + 10)
     inside = cloud[:, :1] + 10
     assert hull.nearest(inside) is inside
     assert np.abs(hull.nearest(-inside) - inside).max() < 3 and np.abs(hull.nearest(np.zeros((3, 1))) - inside).max() < 3
 
 
 def test_only_confined_channels_are_held(cloud):
-    hull = rollout.Hull(cloud, confined=[1])
+    hull = Hull(cloud, confined=[1])
     z = np.array([[50.0], [50.0], [-50.0]])
     low, high = cloud[1].min(), cloud[1].max()
     assert np.allclose(hull.nearest(z)[:, 0], [50, high + (high - low) / 8, -50], atol=1e-13)
@@ -75,14 +76,14 @@ def test_only_confined_channels_are_held(cloud):
 
 @pytest.mark.parametrize("confined", [None, [0, 2]])
 def test_widening_makes_room_for_new_data_and_gives_none_up(confined, cloud):
-    hull = rollout.Hull(cloud, confined)
+    hull = Hull(cloud, confined)
     far = np.array([[5.0], [-5.0], [3.0]])
     assert hull.nearest(far) is not far
     hull.widen(far)
     assert hull.nearest(far) is far and hull.nearest(cloud) is cloud
-    before = hull._high.copy()
+    before = hull.upper.copy()
     hull.widen(cloud[:, :1])
-    assert np.array_equal(hull._high, before)
+    assert np.array_equal(hull.upper, before)
 
 
 @pytest.mark.parametrize("predictor", ["vector_field", "one_step"])
@@ -131,26 +132,26 @@ def test_beyond_the_hull_the_field_is_continuous_and_points_back(torque_data):
     rng = np.random.default_rng(0)
     direction = rng.normal(size=(6, 50))
     reach = np.linspace(0, 3, 3001)
-    rates = np.stack([model._field(r * direction) for r in reach])
+    rates = np.stack([model.map()(r * direction) for r in reach])
     jumps = np.abs(np.diff(rates, axis=0)).max(axis=(1, 2))
     assert jumps.max() <= 50 * np.median(jumps)
-    assert np.allclose(model.outward_step_, rollout.over_a_sample(model.outward_, 0.01))
+    assert np.allclose(model.outward_step_, over_a_sample(model.outward_, 0.01))
 
 
 def test_flow_over_a_sample_is_the_exponential():
     rng = np.random.default_rng(0)
     A, B, dt = rng.normal(size=(3, 3)), rng.normal(size=(3, 2)), 0.3
-    step = rollout.over_a_sample(np.hstack([A, B]), dt)
+    step = over_a_sample(np.hstack([A, B]), dt)
     assert np.allclose(step[:, :3], expm(A * dt), atol=1e-14)
     assert np.allclose(step[:, 3:], np.linalg.solve(A, (expm(A * dt) - np.eye(3)) @ B), atol=1e-13)
-    assert np.allclose(rollout.over_a_sample(A, dt), expm(A * dt), atol=1e-14)  # no inputs
+    assert np.allclose(over_a_sample(A, dt), expm(A * dt), atol=1e-14)  # no inputs
 
 
 def test_outward_rates_are_hurwitz_whatever_the_linear_model():
     rng = np.random.default_rng(0)
     for _ in range(20):
         change = rng.normal(size=(6, 6))
-        S = rollout.outward_rates(change, 3, 0.01, 3)
+        S = outward_rates(change, 3, 0.01, 3)
         free = change[1:, 1:4].T / 0.01
         assert S.shape == (3, 5) and np.array_equal(S[:, 3:], free[:, 3:])
         moves = np.abs(np.linalg.eigvals(free[:, :3])).max()
@@ -196,7 +197,7 @@ def test_roll_out_abandons_only_what_left():
 @pytest.mark.parametrize("columns", ["all", "states"])
 def test_beyond_the_hull_a_model_follows_the_linear_one_of_its_data(columns, torque_data):
     model = tras.KoopmanModel(tras.Monomials(2), "one_step", strength=1e-2, columns=columns).fit(torque_data)
-    change = koopman.koopman_matrix(tras.Monomials(1).fit(np.zeros(4), np.zeros(2)), model._scaled(torque_data))[0] - np.eye(7)
-    wanted = rollout.outward_rates(change, 4, model.dt_, 4)
+    change = koopman.koopman_matrix(tras.Monomials(1).fit(np.zeros(4), np.zeros(2)), model.channels_.scaled(torque_data))[0] - np.eye(7)
+    wanted = outward_rates(change, 4, model.dt_, 4)
     assert np.allclose(model.outward_, wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
-    assert np.array_equal(model.outward_step_, rollout.over_a_sample(model.outward_, model.dt_))
+    assert np.array_equal(model.outward_step_, over_a_sample(model.outward_, model.dt_))

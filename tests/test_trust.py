@@ -188,7 +188,7 @@ def test_partial_fit_of_many_small_recordings(halves):
     whole = tras.KoopmanModel(tras.Monomials(2), "one_step", strength=0.0).fit([halves[0], small])
     assert model.pairs_ == whole.pairs_
     assert np.allclose(model.koopman_matrix, whole.koopman_matrix, rtol=0, atol=1e-9)
-    x, u = next(iter(model._scaled(small)))
+    x, u = next(iter(model.channels_.scaled(small)))
     inside = np.hstack([x, u]).T
     assert model.hull_.nearest(inside) is inside  # the hull has room for what came later
 

@@ -46,8 +46,10 @@ _ROOMS = {
     "refine": "refinement",
     "lumped_parameters": "physics",
     "parameter_intervals": "physics",
-    "load_model": "storage",
+    "load_model": "model",
     "metrics": "metrics",
+    "export": "export",
+    "open_recording": "lazy",
 }
 
 __all__ = [*_ROOMS, "__version__"]

@@ -86,10 +86,9 @@ class Basis:
     def inverse(self):
         """T^-1 as a sum of two matrices, the second of the size of the first one's rounding errors (Newton's iteration)."""
         inverse = lapack.dtrtri(self.T)[0]
-        for _ in range(2):
-            inverse = inverse + rest if _ else inverse
-            rest = (np.eye(len(inverse)) - self.multiply(inverse)) @ inverse
-        return inverse, rest
+        one = np.eye(len(inverse))
+        inverse = inverse + (one - self.multiply(inverse)) @ inverse
+        return inverse, (one - self.multiply(inverse)) @ inverse
 
     def same_as(self, other):
         return self is other or (np.array_equal(self.T, other.T) and np.array_equal(self.scale, other.scale) and self.bits == other.bits)

@@ -61,9 +61,9 @@ def coefficient_error(field, name):
     dictionary = Monomials(degree)
     z = np.random.default_rng(0).uniform(-1, 1, (500, n))
     functions, size = dictionary(z), dictionary(np.full((1, n), half)).T
-    found, exact = (np.linalg.lstsq(functions, f(half * z), rcond=None)[0] / size for f in (field, exact_field))
+    identified, exact = (np.linalg.lstsq(functions, f(half * z), rcond=None)[0] / size for f in (field, exact_field))
     exact[np.abs(exact) < 1e-9] = 0
-    return 100 * np.sqrt(np.mean((found - exact) ** 2)) / np.abs(exact[exact != 0]).mean()
+    return 100 * np.sqrt(np.mean((identified - exact) ** 2)) / np.abs(exact[exact != 0]).mean()
 
 
 def benchmark_study(trajectories, samples, noises, seeds, *, processes=1):
@@ -99,5 +99,5 @@ def _errors(name, recording):
 
 
 def _eigenvalue_error(model):
-    found = np.log(model.eigenvalues) / model.dt_
-    return 100 * max(np.abs(found - wanted).min() / abs(wanted) for wanted in (SLOW, FAST, 2 * SLOW))
+    rates = np.log(model.eigenvalues) / model.dt_
+    return 100 * max(np.abs(rates - rate).min() / abs(rate) for rate in (SLOW, FAST, 2 * SLOW))

@@ -8,8 +8,8 @@ import numpy as np
 from sklearn.base import BaseEstimator
 
 from tras.files import replacing
-from tras.leastsquares import StreamingLeastSquares
-from tras.storage import HULL, UNREADABLE, read_npz, restored_hull
+from tras.fitting import rows_and_hull
+from tras.storage import UNREADABLE, read_npz
 
 _FORMAT = "tras checkpoint 2"
 
@@ -18,20 +18,16 @@ class CheckpointError(ValueError):
     """The file is no checkpoint, or one of another model or other data."""
 
 
-def write(path, model, header, arrays):
-    """Store ``header`` (what JSON holds) and ``arrays`` beside the model's rows so far, its name, and its hull."""
-    arrays = {f"survey.{key}": value for key, value in arrays.items()}
-    arrays |= {f"solver.{key}": value for key, value in model._solver.state().items()}
-    if hasattr(model, "hull_"):
-        arrays |= {f"hull.{key}": getattr(model.hull_, key) for key in HULL}
-        header = header | {"free": [int(i) for i in model.hull_.free]}
+def write(path, model, state, header, survey):
+    """Store ``header`` (what JSON holds), the state of a fit, and the arrays of the survey beside the model's parameters."""
+    arrays = state | {f"survey.{key}": value for key, value in survey.items()}
     header = header | {"format": _FORMAT, "model": described(model)}
     with replacing(_npz_path(path)) as temporary:
         np.savez(temporary, header=np.array(json.dumps(header)), **arrays)
 
 
 def read(path, model, **same):
-    """(header, survey's arrays, function that puts solver and hull into the model); None if there is no file.
+    """(header, survey's arrays, state of the fit); None if there is no file.
 
     Raises
     ------
@@ -43,21 +39,15 @@ def read(path, model, **same):
         return None
     try:
         header, arrays = read_npz(path, _FORMAT)
-        parts = {kind: {key.partition(".")[2]: v for key, v in arrays.items() if key.startswith(kind)} for kind in ("survey", "solver", "hull")}
-        solver = StreamingLeastSquares.from_state(parts["solver"])
-        hull = restored_hull(parts["hull"], header["free"]) if parts["hull"] else None
+        survey = {key.partition(".")[2]: value for key, value in arrays.items() if key.startswith("survey.")}
+        state = {key: value for key, value in arrays.items() if not key.startswith("survey.")}
+        rows_and_hull(state)  # a damaged one is found here, not in the middle of a fit
         _require_same(path, header, same | {"model": described(model)})
     except CheckpointError:
         raise
     except UNREADABLE as error:
         raise CheckpointError(f"checkpoint {path} cannot be read ({error}); delete it to begin anew.") from error
-
-    def restore(model):
-        model._solver = solver
-        if hull is not None:
-            model.hull_ = hull
-
-    return header, parts["survey"], restore
+    return header, survey, state
 
 
 def _require_same(path, header, wanted):

@@ -40,16 +40,16 @@ class Dictionary(BaseEstimator):
             delattr(self, name)  # what an earlier fit learnt
         self.n_states_, self.n_inputs_ = x.shape[-1], u.shape[-1]
         self._learn(_columns(x, u))
-        return self._restore()
+        return self.restore()
 
     def __call__(self, x, u=None):
         """Lift: states (..., n) and inputs (..., m) -> (..., N), equation (7). An unfitted dictionary is fitted first."""
-        z, leading = self._points(x, u)
+        z, leading = self.points(x, u)
         return self.lift(z).T.reshape(*leading, -1)
 
     def jacobian(self, x, u=None):
         """``d psi / d x``, used in (17) and (18): (..., n), (..., m) -> (..., N, n)."""
-        z, leading = self._points(x, u)
+        z, leading = self.points(x, u)
         slopes = self.lift_slopes(z)
         return np.moveaxis(slopes, -1, 0).reshape(*leading, *slopes.shape[:2])
 
@@ -59,7 +59,7 @@ class Dictionary(BaseEstimator):
         ``out`` takes the result, if given. Symbols in place of numbers give formulas (`tras.symbols`).
         """
         head, points = 1 + len(z), z.shape[1]
-        psi = np.empty((self._size, points), dtype=np.result_type(z, float)) if out is None else out
+        psi = np.empty((self.size, points), dtype=np.result_type(z, float)) if out is None else out
         psi[0] = 1
         psi[1:head] = z
         if points <= STRIP:
@@ -75,7 +75,7 @@ class Dictionary(BaseEstimator):
 
     def lift_with_slopes(self, z):
         """`lift` and `lift_slopes` of the same points at once: most slopes are made of the functions' values."""
-        psi, slopes = self.lift(z), np.zeros((self._size, self.n_states_, z.shape[1]))
+        psi, slopes = self.lift(z), np.zeros((self.size, self.n_states_, z.shape[1]))
         slopes[self.coordinates, np.arange(self.n_states_)] = 1
         self._fill_slopes(slopes, psi, z)
         return psi, slopes
@@ -100,18 +100,18 @@ class Dictionary(BaseEstimator):
 
     @property
     def confined(self):
-        """Channels in which the functions are guesswork beyond the data, by number; None is all. See `tras.rollout.Hull`."""
+        """Channels in which the functions are guesswork beyond the data, by number; None is all. See `tras.hull.Hull`."""
         return None
 
     def _learn(self, z):
         """Nothing depends on the data unless a subclass says so."""
 
-    def _restore(self):
+    def restore(self):
         """Ready for use, from what was learnt: also after reading a file."""
-        self._size = 1 + self.n_states_ + self.n_inputs_ + self._build()
+        self.size = 1 + self.n_states_ + self.n_inputs_ + self._build()
         return self
 
-    def _points(self, x, u):
+    def points(self, x, u):
         x, u = _samples(x, u)
         if not hasattr(self, "n_states_"):
             self.fit(x, u)
@@ -148,10 +148,10 @@ class Monomials(Dictionary):
         check_count("degree", self.degree)
         channels = self.n_states_ + self.n_inputs_
         words = [w for k in range(self.degree + 1) for w in itertools.combinations_with_replacement(range(channels), k)]
-        place = {word: j for j, word in enumerate(words)}
+        index = {word: j for j, word in enumerate(words)}
         self._exponents = np.array([[word.count(i) for i in range(channels)] for word in words])
         # Each monomial is a shorter one times one channel; one level of degree after the other is filled at once.
-        first = [place.get(word[1:], 0) for word in words]
+        first = [index.get(word[1:], 0) for word in words]
         letter = [word[0] if word else 0 for word in words]
         ends = np.cumsum(np.bincount([len(word) for word in words]))
         self._levels = [(slice(a, b), np.array(first[a:b]), np.array(letter[a:b])) for a, b in zip(ends[1:-1], ends[2:])]
@@ -160,7 +160,7 @@ class Monomials(Dictionary):
         self._runs = [(slice(j[0], j[-1] + 1), slice(first[j[0]], first[j[-1]] + 1), letter[j[0]]) for j in same]
         # d/dx_i of a monomial is its exponent times the monomial with one x_i less.
         self._slopes = self._exponents[:, : self.n_states_, None].astype(float)
-        self._lowered = np.array([[_without(word, i, place) for i in range(self.n_states_)] for word in words])
+        self._lowered = np.array([[_without(word, i, index) for i in range(self.n_states_)] for word in words])
         return len(words) - 1 - channels
 
     def _fill(self, psi, z):
@@ -270,17 +270,17 @@ class _Combination(Dictionary):
         self.parts_ = [clone(part).fit(x, u) for part in self.parts]
         # Functions that two parts share must not come twice: they are recognised by their values at random points.
         points = np.random.default_rng(0).uniform(-1, 1, (len(z), 7))
-        seen, kept = set(), []
+        fingerprints, indices = set(), []
         for j, values in enumerate(self._all(points)):
             fingerprint = tuple(np.round(values, 10) + 0.0)
-            if fingerprint not in seen:
-                seen.add(fingerprint)
-                kept.append(j)
-        self.kept_ = np.array(kept)
+            if fingerprint not in fingerprints:
+                fingerprints.add(fingerprint)
+                indices.append(j)
+        self.kept_ = np.array(indices)
 
     def _build(self):
         for part in self.parts_:
-            part._restore()
+            part.restore()
         return len(self.kept_) - 1 - self.n_states_ - self.n_inputs_
 
     def _fill(self, psi, z):
@@ -376,13 +376,13 @@ def _columns(x, u):
     return z
 
 
-def _without(word, i, place):
+def _without(word, i, index):
     """Where the monomial with one factor i less stands; anywhere (0) when it has none, its slope is 0 then."""
     if i not in word:
         return 0
     shorter = list(word)
     shorter.remove(i)
-    return place[tuple(shorter)]
+    return index[tuple(shorter)]
 
 
 def _lattice(channels, order):

@@ -4,7 +4,7 @@ The parts do not depend on the workers, and all of them begin with one basis, wh
 give the same bits for the same number of parts, as long as the machines do (processor, libraries; BLAS is held to one thread). Another number of parts, or a
 fit without parts, adds the same rows in another order, and differs by rounding.
 
-What travels: to a worker, once, the model without rows (dictionary and scales, some kilobytes), names of files, datasets as xarray pickles them (a name
+What travels: to a worker, once, the fit without rows (dictionary and scales, some kilobytes), names of files, datasets as xarray pickles them (a name
 or a graph, unless their numbers are in memory), or the recordings themselves; back from it, for each part, the solver's state, about four matrices of the
 size of K.
 """
@@ -12,24 +12,23 @@ size of K.
 import copy
 import itertools
 
-import numpy as np
 
-from tras import executors, koopman
+from tras import executors
 from tras.executors import SchedulerError
-from tras.leastsquares import StreamingLeastSquares, panels_of_a_basis
-from tras.pieces import without
+from tras.lazy import without
+from tras.leastsquares import panels_of_a_basis
 from tras.threads import one_blas_thread
 
 _PARTS = 16
 
 
-def absorb(model, stream, held, length, chunk, scheduler=None, parts=None, bar=None):
-    """What `tras.streaming` does for one process, by several: the model's solver and hull hold all pairs but the held-out ones afterwards.
+def absorb(fit, stream, held, length, chunk, scheduler=None, parts=None, bar=None):
+    """What `tras.streaming` does for one process, by several: the fit holds all pairs but the held-out ones afterwards.
 
     Parameters
     ----------
     scheduler : None, "processes" or str
-        None: one part after the other in this process. "processes": local processes, one a core. An address such as "tcp://host:8786": the
+        None: one part after the other in this process. "processes": local processes, one per core. An address such as "tcp://host:8786": the
         workers of that Dask scheduler, which must see the files under the same paths.
     parts : int, optional
         Parts of the data; default 16, or the number of chunks if there are fewer.
@@ -42,42 +41,36 @@ def absorb(model, stream, held, length, chunk, scheduler=None, parts=None, bar=N
     stream = stream.opened()
     groups = _chunks(stream, chunk)
     parts = min(parts or _PARTS, len(groups))
-    _prepare(model, stream, groups[0], held, length)
+    empty = _prepare(fit, stream, groups[0], held, length)
+    vars(fit).update(vars(copy.copy(empty)))
     borders = [k * len(groups) // parts for k in range(parts + 1)]
-    empty = copy.deepcopy(model)  # tasks begin with it while what they found is merged here
     shares = [groups[a:b] for a, b in itertools.pairwise(borders)]
     results = executors.run(absorb_part, [(share,) for share in shares], (empty, stream, held, length), scheduler=scheduler, ordered=True)
     for k, result in results:
         if isinstance(result, executors.Lost):
             raise SchedulerError(f"part {k} of {parts} was lost: {result.reason}; use a smaller chunk.")
-        state, edges = result
-        if state is not None:
-            with one_blas_thread():
-                model._solver.merge(StreamingLeastSquares.from_state(state))
-        if edges is not None:
-            model.hull_.low, model.hull_.high = np.minimum(model.hull_.low, edges[0]), np.maximum(model.hull_.high, edges[1])
-            model.hull_.settle()
+        with one_blas_thread():
+            fit.merge(result)
         if bar is not None:
             bar.update(sum(pairs for _, _, pairs in shares[k]))
 
 
-def absorb_part(model, stream, held, length, groups):
-    """What one worker does: (state of the solver or None, edges of the hull or None) of some chunks."""
-    model = copy.deepcopy(model)
+def absorb_part(fit, stream, held, length, groups):
+    """What one worker does: the state of a fit of some chunks."""
+    fit = copy.copy(fit)
     with one_blas_thread():
         for first, last, _ in groups:
-            model._absorb(_scaled(model, stream, first, last, held, length), threads=1)
-        model._solver._work_off(max(model._solver.rows, 1))  # rows that wait would travel
-    edges = (model.hull_.low, model.hull_.high) if hasattr(model, "hull_") else None
-    return (model._solver.state() if model._solver.rows else None), edges
+            fit.absorb(_scaled(fit, stream, first, last, held, length), threads=1)
+        fit.solver.work_off()  # rows that wait would travel
+    return fit.state()
 
 
-def _scaled(model, stream, first, last, held, length):
+def _scaled(fit, stream, first, last, held, length):
     """Scaled trajectories of some pieces, without what is held out."""
     for number, piece in enumerate(stream.pieces(first, last), start=first):
-        left = without(piece, held.get(number, ()), length, stream.shared)
-        if left:
-            yield from model._scaled(stream.recording(left))
+        pieces = without(piece, held.get(number, ()), length, stream.shared)
+        if pieces:
+            yield from fit.channels.scaled(stream.recording(pieces))
 
 
 def _chunks(stream, chunk):
@@ -91,9 +84,9 @@ def _chunks(stream, chunk):
     return groups + ([(first, number + 1, pairs)] if number + 1 > first else [])
 
 
-def _prepare(model, stream, group, held, length):
-    """The basis, and the hull's axes, of the first blocks of pairs as one process would take them."""
-    scaled = _scaled(model, stream, *group[:2], held, length)
+def _prepare(fit, stream, group, held, length):
+    """A fit without rows, its basis and the hull's axes those of the first blocks of pairs as one process would take them."""
+    scaled, first = _scaled(fit, stream, *group[:2], held, length), copy.copy(fit)
     with one_blas_thread():
-        model._absorb(scaled, threads=1, most=panels_of_a_basis(len(model.names_)))
-        model._solver = model._solver.emptied()
+        first.absorb(scaled, threads=1, most=panels_of_a_basis(len(fit.names)))
+        return first.emptied()

@@ -50,7 +50,7 @@ def bootstrap(model, recording, draws=100, rng=0, *, processes=1):
     (True, (10, 51, 2))
     """
     recording = join(recording)
-    model._fitted()
+    model.require_fitted()
     if len(recording) < 10:
         raise ValueError(
             f"recording has {len(recording)} trajectories, and a bootstrap draws among ten or more; cut it into pieces with recording.cut(samples)."

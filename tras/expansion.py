@@ -14,11 +14,11 @@ class Expansion:
 
     def __init__(self, model, points):
         self.model, self.points, self.digits = model, points, 17
-        self.offsets = np.concatenate([model._delayed(model.x_offset_, model.u_offset_), model.u_offset_])
-        self.scales = np.concatenate([model._z_scale, model.u_scale_])
-        self.channels = model._channels(inputs=True)
+        self.offsets = np.concatenate([model.channels_.z_offset, model.u_offset_])
+        self.scales = np.concatenate([model.channels_.z_scale, model.u_scale_])
+        self.channels = [*model.channels_.z_names, *model.input_names_]
         self.names = identifiers(self.channels)
-        states = self.names[: len(model._z_scale) if model.predictor == "vector_field" else len(model.state_names_)]
+        states = self.names[: len(model.channels_.z_scale) if model.predictor == "vector_field" else len(model.state_names_)]
         self.left = identifiers([f"d{name}_dt" if model.predictor == "vector_field" else f"{name}_next" for name in states], self.names)
         self.scaled = identifiers([f"{name}_s" for name in self.names], [*self.names, *self.left])
         self.atoms, self.own, self._sums, self._answers = [], {}, {}, {}

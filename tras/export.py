@@ -1,8 +1,10 @@
 """Models for other programs: what MATLAB, C and formulas share (names, origin, the map in one place), and python-control.
 
-`tras.export_mat`, `tras.export_c` and `tras.formulas` write the rest. Nothing in the files tells the time: the same model, the same bytes.
+`to_c`, `to_matlab` and `formulas` are of `tras.export_c`, `tras.export_mat` and `tras.formulas`. Nothing in the files tells the time: the same
+model, the same bytes.
 """
 
+import importlib
 import keyword
 import re
 from pathlib import Path
@@ -23,7 +25,7 @@ _TAKEN = {
 
 
 class StateSpace(NamedTuple):
-    """``z[k+1] = A z[k] + B u[k]``, ``x[k] = C z[k] + D u[k]``, sampled every ``dt`` seconds. See `tras.KoopmanModel.to_statespace`."""
+    """``z[k+1] = A z[k] + B u[k]``, ``x[k] = C z[k] + D u[k]``, sampled every ``dt`` seconds. See `to_statespace`."""
 
     A: np.ndarray
     B: np.ndarray
@@ -32,25 +34,18 @@ class StateSpace(NamedTuple):
     dt: float
 
 
-class Map(NamedTuple):
-    """What a step consists of, in scaled channels: ``matrix psi(P z) + outward (z - P z)``, P onto the hull; no hull is None.
-
-    The rates of all states for ``vector_field``, the n next states for ``one_step``.
-    """
-
-    matrix: np.ndarray
-    hull: object
-    outward: np.ndarray | None
+def __getattr__(name):
+    room = {"to_c": "export_c", "to_matlab": "export_mat", "formulas": "formulas"}.get(name)
+    if room is None:
+        raise AttributeError(f"module 'tras.export' has no attribute {name!r}; it has formulas, to_c, to_matlab, to_statespace")
+    return getattr(importlib.import_module(f"tras.{room}"), name)
 
 
 def map_of(model):
-    """The `Map` of a model that is not ``lifted_linear``."""
-    model._fitted()
+    """The `tras.predictors.Map` of a model that is not ``lifted_linear``: the rates of all states, or the n next states of ``one_step``."""
+    step = model.map()
     rows = len(model.state_names_) if model.predictor == "one_step" else None
-    hull = getattr(model, "hull_", None)
-    matrix = model.W_ if model.predictor == "vector_field" else model._states_columns.T
-    outward = None if hull is None else model.outward_ if model.predictor == "vector_field" else model.outward_step_
-    return Map(matrix[:rows], hull, outward if outward is None else outward[:rows])
+    return step._replace(matrix=step.matrix[:rows], outward=None if step.hull is None else step.outward[:rows])
 
 
 def identifier(name, taken=()):
@@ -105,7 +100,7 @@ def origin(model, path=None, name=None):
 
 def state_vector(model):
     """What the vector x holds, a line each: ``x[0]: phi (rad)``, from 0; delayed samples behind the newest."""
-    names = model._channels(inputs=False)
+    names = model.channels_.z_names
     units = list(model.state_units_) * (model.delays + 1) + list(model.input_units_) * model.delays
     return [f"{name} ({unit})" if unit else name for name, unit in zip(names, units)]
 
@@ -137,11 +132,11 @@ def to_statespace(model):
     >>> import numpy as np
     >>> x, u = np.random.default_rng(0).uniform(-1, 1, (2, 5, 20, 1))
     >>> model = tras.KoopmanModel(tras.Monomials(2), "lifted_linear").fit(tras.Recording(x, u, 0.1))
-    >>> system = model.to_statespace()
+    >>> system = to_statespace(model)
     >>> system.A.shape, system.B.shape, system.C.shape, system.dt
     ((3, 3), (3, 1), (1, 3), 0.1)
     """
-    model._fitted()
+    model.require_fitted()
     if model.predictor != "lifted_linear":
         raise ValueError(f"predictor is {model.predictor!r}, which is no linear system; fit with predictor='lifted_linear'.")
     n, m = len(model.state_names_), len(model.input_names_)

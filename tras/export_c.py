@@ -104,7 +104,7 @@ _LINEAR_INPUTS = "        for (int j = 0; j < INPUTS; j++) next[i] += B[i][j] * 
 _UNUSED = "    (void)u;\n"
 
 
-def export_c(model, path):
+def to_c(model, path):
     """Write a model as C99: ``path``, which ends in .c, and a header of the same name.
 
     ``void NAME_step(const double *x, const double *u, double *x_next)`` predicts one sample, in physical units, beyond the training data too; NAME is
@@ -126,10 +126,10 @@ def export_c(model, path):
     >>> import numpy as np, tempfile, tras
     >>> x, u = np.random.default_rng(0).uniform(-1, 1, (2, 5, 20, 1))
     >>> model = tras.KoopmanModel(tras.Monomials(2), "one_step").fit(tras.Recording(x, u, 0.1))
-    >>> [path.name for path in model.export_c(f"{tempfile.mkdtemp()}/rig.c")]
+    >>> [path.name for path in to_c(model, f"{tempfile.mkdtemp()}/rig.c")]
     ['rig.h', 'rig.c']
     """
-    model._fitted()
+    model.require_fitted()
     path, name = file_and_name(path, ".c")
     notes = [_comment(line) for line in origin(model, path, name)]
     files = {path.with_suffix(".h"): _header(model, name), path: f'#include "{path.stem}.h"\n\n#include <math.h>\n\n{_source(model, name)}'}
@@ -168,9 +168,9 @@ def _header(model, name):
 
 
 def _source(model, name):
-    linear, m, states = model.predictor == "lifted_linear", len(model.input_names_), len(model._z_scale)
+    linear, m, states = model.predictor == "lifted_linear", len(model.input_names_), len(model.channels_.z_scale)
     counts = {"STATES": states, "INPUTS": m, "CHANNELS": states + m, "FUNCTIONS": len(model.names_)}
-    arrays = {"x_offset": model._delayed(model.x_offset_, model.u_offset_), "x_scale": model._z_scale}
+    arrays = {"x_offset": model.channels_.z_offset, "x_scale": model.channels_.z_scale}
     if m:
         arrays |= {"u_offset": model.u_offset_, "u_scale": model.u_scale_}
     if linear:
@@ -179,11 +179,11 @@ def _source(model, name):
         arrays |= {"A": model.koopman_matrix.T} | ({"B": model.B_} if m else {})
         body = _lift(model) + _linear(model, name)
     else:
-        matrix, hull, outward = map_of(model)
+        matrix, _, hull, outward = map_of(model)
         counts = {key: value for key, value in counts.items() if key != "INPUTS" or m} | {"ROWS": len(matrix)}
         arrays["matrix"] = matrix
         if hull is not None:
-            arrays |= {"centre": hull.centre[:, 0], "axes": hull.axes, "low": hull._low[:, 0], "high": hull._high[:, 0], "outward": outward}
+            arrays |= {"centre": hull.centre[:, 0], "axes": hull.axes, "low": hull.lower[:, 0], "high": hull.upper[:, 0], "outward": outward}
         body = _lift(model) + _map(model, hull) + _steps(model, name)
     constants = "enum { " + ", ".join(f"{key} = {value}" for key, value in counts.items()) + " };\n\n"
     return constants + "".join(_array(key, value) for key, value in arrays.items()) + "\n" + body
@@ -214,7 +214,7 @@ def _steps(model, name):
         body = _RUNGE_KUTTA.format(dt=symbols.literal(model.dt_), substeps=int(model.substeps_))
     else:
         body = "    double point[CHANNELS], z[ROWS];\n    scale(x, u, point);\n    map(point, z);\n"
-    if model._keeps_inputs:
+    if model.channels_.delayed_inputs:
         past = n * (d + 1)
         body += _SHIFTS_OF_INPUTS.format(end=past + m * d - 1, second=past + m, m=m, past=past)
     if d:

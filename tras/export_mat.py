@@ -91,7 +91,7 @@ end
 }
 
 
-def export_mat(model, path):
+def to_matlab(model, path):
     """Write a model for MATLAB and GNU Octave: arrays to ``path``, which ends in .mat, and functions beside it.
 
     ``x_next = NAME_step(x, u)`` predicts one sample, in physical units, a column a point, beyond the training data too; NAME is the file's. With
@@ -114,10 +114,10 @@ def export_mat(model, path):
     >>> import numpy as np, tempfile
     >>> x, u = np.random.default_rng(0).uniform(-1, 1, (2, 5, 20, 1))
     >>> model = tras.KoopmanModel(tras.Monomials(2), "one_step").fit(tras.Recording(x, u, 0.1))
-    >>> [path.name for path in model.export_mat(f"{tempfile.mkdtemp()}/rig.mat")]
+    >>> [path.name for path in to_matlab(model, f"{tempfile.mkdtemp()}/rig.mat")]
     ['rig.mat', 'rig_step.m']
     """
-    model._fitted()
+    model.require_fitted()
     path, name = file_and_name(path, ".mat")
     notes, contents = origin(model, path, name), io.BytesIO()
     functions = _functions(model, path, name, notes)  # refuses what it cannot write before anything is written
@@ -138,19 +138,19 @@ def _arrays(model, notes):
     linear = model.predictor == "lifted_linear"
     values = {
         "origin": _cells(notes), "predictor": model.predictor, "dt": float(model.dt_), "delays": float(model.delays),
-        "K": model.koopman_matrix, "x_offset": model.x_offset_, "x_scale": model.x_scale_, "z_scale": model._z_scale,
-        "z_offset": model._delayed(model.x_offset_, model.u_offset_), "u_offset": model.u_offset_[:, None], "u_scale": model.u_scale_[:, None],
+        "K": model.koopman_matrix, "x_offset": model.x_offset_, "x_scale": model.x_scale_, "z_scale": model.channels_.z_scale,
+        "z_offset": model.channels_.z_offset, "u_offset": model.u_offset_[:, None], "u_scale": model.u_scale_[:, None],
         "functions": _cells(model.names_), "dictionary": _described(model.dictionary_),
     }  # fmt: skip
     for role in ("state", "input"):
         values |= {f"{role}_{kind}": _cells(getattr(model, f"{role}_{kind}_")) for kind in ("names", "units")}
-    values["x_names"] = _cells(model._channels(inputs=False))
+    values["x_names"] = _cells(model.channels_.z_names)
     if linear:
         return values | {"A": model.koopman_matrix.T, "B": model.B_}
-    matrix, hull, outward = map_of(model)
+    matrix, _, hull, outward = map_of(model)
     values["map"] = matrix
     if hull is not None:
-        values["hull"] = {"centre": hull.centre, "axes": hull.axes, "low": hull._low, "high": hull._high, "outward": outward}
+        values["hull"] = {"centre": hull.centre, "axes": hull.axes, "low": hull.lower, "high": hull.upper, "outward": outward}
     if model.predictor == "vector_field":
         values |= {"A": model.generator, "W": model.W_, "substeps": float(model.substeps_)}
     return values
@@ -190,11 +190,11 @@ def _functions(model, path, name, notes):
     at = lambda which: path.with_name(f"{name}_{which}.m")  # noqa: E731
     if model.predictor == "lifted_linear":
         return {at(which): template.format(**words) + (lift if which == "lift" else "") for which, template in _LINEAR.items()}
-    map_ = _MAP.format(body=_HULL if hasattr(model, "hull_") else "    result = model.map * lift(z);\n")
+    map_ = _MAP.format(body=_HULL if model.hull_ is not None else "    result = model.map * lift(z);\n")
     field = model.predictor == "vector_field"
     body = _RUNGE_KUTTA.format(**words) if field else _ONE_STEP
-    shifted = [f"x(1:{n * d}, :)"] * (d > 0) + ["u"] * model._keeps_inputs
-    if model._keeps_inputs and d > 1:
+    shifted = [f"x(1:{n * d}, :)"] * (d > 0) + ["u"] * model.channels_.delayed_inputs
+    if model.channels_.delayed_inputs and d > 1:
         past = n * (d + 1)
         shifted.append(f"x({past + 1}:{past + (d - 1) * len(model.input_names_)}, :)")
     body += f"    x_next = [{'; '.join(['now', *shifted])}];\n" if shifted else "    x_next = now;\n"

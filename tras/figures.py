@@ -245,8 +245,8 @@ def horizon_figure(table):
     figure, axes = new_figure(height=3.1, rows=2, columns=2, sharey=True)
     for row, angle in zip(axes, ("yaw", "pitch")):
         for panel, name in zip(row, dict.fromkeys(table["input"])):
-            chosen = table[(table["angle"] == angle) & (table["input"] == name)]
-            for model, line in chosen.groupby("model", sort=False):
+            rows = table[(table["angle"] == angle) & (table["input"] == name)]
+            for model, line in rows.groupby("model", sort=False):
                 panel.semilogy(line["time"], line["nrmse"], label=MODEL_NAMES.get(model, model))
             panel.set_title(f"{angle}, input: {name}")
     for panel in axes[-1]:

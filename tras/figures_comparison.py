@@ -27,7 +27,7 @@ _UNKNOWN = ("o", "#000000", "-")
 
 @styled()
 def horizon_figure(table):
-    """Median NRMSE over the multisines against the length of the prediction, divided by that of the linear model (DMDc), a panel an input and angle.
+    """Median NRMSE over the multisines against the length of the prediction, divided by that of the linear model (DMDc), one panel per input and angle.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def data_figure(table):
 
 @styled()
 def pareto_figure(table):
-    """NRMSE over the window against the number of parameters, a panel an input and angle.
+    """NRMSE over the window against the number of parameters, one panel per input and angle.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def pareto_figure(table):
 
 
 def horizon_table(scores):
-    """Median, lowest and highest NRMSE over the multisines, with all that diverged: a row a method, input, horizon and angle."""
+    """Median, lowest and highest NRMSE over the multisines, with all that diverged: one row per method, input, horizon and angle."""
     return _over_realisations(scores, ["method", "input", "horizon", "angle"])
 
 
@@ -134,7 +134,7 @@ def _over_realisations(table, by):
 
 
 def _panels(columns, height, label="NRMSE (%)"):
-    """A wide figure: {(column, angle): axes}, one row an angle."""
+    """A wide figure: {(column, angle): axes}, one row per angle."""
     figure = Figure(figsize=(WIDE, height), layout="constrained")
     axes = figure.subplots(2, len(columns), sharex="col")
     panels = {(column, angle): axes[i, j] for i, angle in enumerate(("yaw", "pitch")) for j, column in enumerate(columns)}
@@ -145,7 +145,7 @@ def _panels(columns, height, label="NRMSE (%)"):
 
 
 def _lines(axes, curves, ticks):
-    """One line a method, hollow where some predictions diverged, its name at its end."""
+    """One line per method, hollow where some predictions diverged, its name at its end."""
     ends = []
     for name, (x, y, lost) in curves.items():
         marker, colour, dashes = STYLES.get(name, _UNKNOWN)
@@ -193,11 +193,11 @@ def _label(axes, ends):
     places[-1] = min(places[-1], 1.0)
     for k in range(len(places) - 2, -1, -1):
         places[k] = min(places[k], places[k + 1] - gap)
-    for (name, x, y), place, height in zip(order, places, heights):
+    for (name, x, y), level, height in zip(order, places, heights):
         colour, beyond = STYLES.get(name, _UNKNOWN)[1], not 0 <= height <= 1
         options = {"fontsize": 6.5, "color": colour, "va": "center", "annotation_clip": False}
         if beyond:
-            axes.annotate(f"{name} ({y:.1g})", (1.04, place), xycoords="axes fraction", **options)
+            axes.annotate(f"{name} ({y:.1g})", (1.04, level), xycoords="axes fraction", **options)
             continue
         line = {"arrowstyle": "-", "color": colour, "linewidth": 0.4, "shrinkA": 0, "shrinkB": 2, "relpos": (0, 0.5)}
-        axes.annotate(name, (x, y), (1.08, place), xycoords="data", textcoords="axes fraction", arrowprops=line, **options)
+        axes.annotate(name, (x, y), (1.08, level), xycoords="data", textcoords="axes fraction", arrowprops=line, **options)

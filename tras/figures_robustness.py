@@ -31,8 +31,8 @@ def noise_figure(table):
     figure, axes = new_figure(height=2.6, columns=2, sharey=True)
     levels = sorted(table["noise"].unique())
     for panel, angle in zip(axes, ("yaw", "pitch")):
-        chosen = table[table["angle"] == angle]
-        for (method, group), marker in zip(chosen.groupby("method", sort=False), _METHOD_MARKERS):
+        rows = table[table["angle"] == angle]
+        for (method, group), marker in zip(rows.groupby("method", sort=False), _METHOD_MARKERS):
             of = group.groupby("noise")["nrmse"].agg(["min", "median", "max"]).reindex(levels)  # a gap where no run gave a model
             at = range(len(levels))
             (line,) = panel.semilogy(at, of["median"], marker=marker, label=METHOD_NAMES.get(method, method))
@@ -53,7 +53,7 @@ def length_figure(table):
     Parameters
     ----------
     table : pandas.DataFrame
-        Columns ``fit`` ("plain" or "default"), ``dictionary, noise`` (%), ``ratio`` (snapshot pairs a function), ``failed`` (0 to 1).
+        Columns ``fit`` ("plain" or "default"), ``dictionary, noise`` (%), ``ratio`` (snapshot pairs per function), ``failed`` (0 to 1).
 
     Returns
     -------
@@ -65,9 +65,9 @@ def length_figure(table):
     names = list(dict.fromkeys(table["dictionary"]))
     for row, fit in zip(axes, fits):
         for panel, level in zip(row, levels):
-            chosen = table[(table["fit"] == fit) & (table["noise"] == level)]
+            rows = table[(table["fit"] == fit) & (table["noise"] == level)]
             for i, name in enumerate(names):
-                line = chosen[chosen["dictionary"] == name]
+                line = rows[rows["dictionary"] == name]
                 panel.plot(line["ratio"], 100 * line["failed"], marker=_METHOD_MARKERS[i % 4], label=DICTIONARY_NAMES.get(name, name))
             panel.set_title(f"{METHOD_NAMES.get(fit, fit).split(' (')[0]}, {level:g} % noise")
             panel.set(xscale="log", xlim=(0.8 * table["ratio"].min(), 1.25 * table["ratio"].max()), ylim=(-5, 105))
@@ -129,13 +129,13 @@ def parameters_figure(table):
     levels = sorted(table["noise"].unique())
     figure, axes = new_figure(height=2.4, columns=len(levels), squeeze=False, sharex=False, sharey=True)
     for panel, level in zip(axes[0], levels):
-        chosen = table[table["noise"] == level]
-        value, low, high = (100 * (chosen[name] / chosen["true"] - 1) for name in ("value", "low", "high"))
-        rows = np.arange(len(chosen))
+        shown = table[table["noise"] == level]
+        value, low, high = (100 * (shown[name] / shown["true"] - 1) for name in ("value", "low", "high"))
+        rows = np.arange(len(shown))
         panel.axvline(0, color="0.6", linestyle="-", linewidth=0.7)
         panel.hlines(rows, low, high, color=MODEL["color"], linewidth=1.6)
         panel.plot(value, rows, color="black", marker="o", linestyle="none")
-        panel.set_yticks(rows, [_symbol(name) for name in chosen["parameter"]], fontsize=8.6)  # an index is 0.7 of it
+        panel.set_yticks(rows, [_symbol(name) for name in shown["parameter"]], fontsize=8.6)  # an index is 0.7 of it
         panel.set(title=f"{level:g} % noise", xlabel="error (%)", ylim=(len(rows) - 0.5, -0.5))
         panel.margins(x=0.08)
     return figure

@@ -12,7 +12,6 @@ import tras
 from tras import symbols
 from tras.expansion import Expansion
 from tras.export import map_of
-from tras.recording import join
 
 _GREEK = (
     "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau upsilon phi chi psi omega "
@@ -29,7 +28,7 @@ def formulas(model, recording=None, *, tolerance=1e-3, latex=False):
         With the predictor ``vector_field`` or ``one_step``.
     recording : Recording, optional
         Where terms are weighed, for example what the model was fitted to. Without it at random points in the box around the training data
-        along their principal axes (`tras.rollout.Hull`); if the model has none, in the ranges of the channels.
+        along their principal axes (`tras.hull.Hull`); if the model has none, in the ranges of the channels.
     tolerance : float
         How much terms that are left out and digits that are not written may change a row together, as a fraction of its root mean square; of the
         change in a sample with ``one_step``. 0 leaves nothing out and writes 17 digits.
@@ -54,10 +53,10 @@ def formulas(model, recording=None, *, tolerance=1e-3, latex=False):
     >>> for k in range(100):  # x' = -x + u, sampled at 0.1 s
     ...     x[:, k + 1] = np.exp(-0.1) * x[:, k] + (1 - np.exp(-0.1)) * u[:, k]
     >>> model = tras.KoopmanModel(tras.Monomials(2)).fit(tras.Recording(x, u, 0.1, state_names=["speed"], input_names=["force"]))
-    >>> print(model.formulas().splitlines()[-1])
+    >>> print(formulas(model).splitlines()[-1])
     dspeed_dt = force - speed
     """
-    model._fitted()
+    model.require_fitted()
     if model.predictor == "lifted_linear":
         raise ValueError("predictor is 'lifted_linear', which steps in the lifted space and has no map of the states alone; use to_statespace().")
     if not (isinstance(tolerance, (int, float)) and 0 <= tolerance < 1):
@@ -80,16 +79,17 @@ def formulas(model, recording=None, *, tolerance=1e-3, latex=False):
 def _points(model, recording):
     """Where terms are weighed, (n' + m, points) in physical units, and a word on it."""
     if recording is not None:
-        recording = model._same_channels(join(recording))
-        x, u = (np.concatenate(part) for part in zip(*recording.delayed(model.delays, inputs=model._keeps_inputs)))
+        recording = model.channels_.matched(recording)
+        x, u = (np.concatenate(part) for part in zip(*recording.delayed(model.delays, inputs=model.channels_.delayed_inputs)))
         chosen = np.linspace(0, len(x) - 1, min(len(x), 2000)).astype(int)
         return np.hstack([x, u])[chosen].T, "the recording"
-    rng, channels = np.random.default_rng(0), len(model._z_scale) + len(model.input_names_)
+    rng, channels = np.random.default_rng(0), len(model.channels_.z_scale) + len(model.input_names_)
     z = rng.uniform(-1, 1, (channels, 2000))
-    if hasattr(model, "hull_"):
+    if model.hull_ is not None:
         low, high = model.hull_.low, model.hull_.high
         z = model.hull_.centre + model.hull_.axes @ ((low + high) / 2 + z * (high - low) / 2)
-    offsets, scales = (np.concatenate([model._delayed(x, u), u]) for x, u in ((model.x_offset_, model.u_offset_), (model.x_scale_, model.u_scale_)))
+    own = model.channels_
+    offsets, scales = np.concatenate([own.z_offset, own.u_offset]), np.concatenate([own.z_scale, own.u_scale])
     return z * scales[:, None] + offsets[:, None], "random points in the box around the training data"
 
 
@@ -131,7 +131,7 @@ def _notes(model, expansion, where, digits):
     """What a reader must know."""
     what = "Rates (per s)" if model.predictor == "vector_field" else f"States one sample ({model.dt_!r} s) later,"
     notes = [f"{what} by tras {tras.__version__}; dictionary {model.dictionary_!r}, N = {len(model.names_)}; physical units.", _meanings(expansion)]
-    if hasattr(model, "hull_"):
+    if model.hull_ is not None:
         notes.append("Holds for the training data; beyond them the model goes on linearly, which is not written here.")
     notes.append(f"Terms in the order of their size over {where}; numbers with {digits} digits.")
     return [" ".join(note.split()) for note in notes if note]

@@ -97,7 +97,7 @@ def field_by_coordinates(A, dictionary):
 def field_by_least_squares(A, dictionary, recording, R):
     """W (n, N) of ``F(x, u) = W psi(x, u)`` from equation (18), over all data points.
 
-    Minimises the sum over the points of ``|(d psi / d x) W psi - A^T psi|^2``, one equation a function and point. With
+    Minimises the sum over the points of ``|(d psi / d x) W psi - A^T psi|^2``, one equation per function and point. With
     ``q = R^-T psi`` the unknown is V = W R^T, and the matrix of its normal equations, the sum of ``(J^T J) kron (q q^T)`` with
     J = d psi / d x, is as well conditioned as ``J^T J``: the ill-conditioning of Psi stays out of it.
 

@@ -156,7 +156,7 @@ def _ensemble(model, train, draws, seed):
 def _overlay(runs, truth, starts, model, ensemble, latest):
     """Two windows as one table: ``window`` ("typical", "worst"), ``time`` (s) and for each state ``STATE: true, model, linear model, lower, upper``."""
     chosen, first, parts = typical_and_worst(runs[CHOSEN], truth, latest), latest - model.delays, []
-    late = starts._with([starts.states[k][first:] for k in chosen], [starts.inputs[k][first:] for k in chosen])
+    late = starts.with_data([starts.states[k][first:] for k in chosen], [starts.inputs[k][first:] for k in chosen])
     band = prediction_band(ensemble, late) if ensemble else [np.full((2, len(late.states[0]), truth.n), np.nan)] * 3
     for j, (name, k) in enumerate(zip(("typical", "worst"), chosen)):
         true, bands = truth.states[k][latest:], [edge[j][model.delays :] for edge in band]

@@ -10,8 +10,11 @@ import pandas as pd
 
 from tras import figures_identify, page
 from tras.examples import example
-from tras.export import identifier
+from tras.export import identifier, to_statespace
+from tras.export_c import to_c
+from tras.export_mat import to_matlab
 from tras.figures import save_figure
+from tras.formulas import formulas
 from tras.identify_page import write_page
 from tras.recording import Recording
 
@@ -88,8 +91,8 @@ def _all(found, log, name, stage):
         *((f"tables/{key}.csv", what) for key, what in _TABLES.items()), ("figures/", "every figure as PDF, SVG and PNG, and its numbers as CSV"),
     ]  # fmt: skip
     text = stage / "export" / "formulas.txt"
-    formulas = text.read_text(encoding="utf-8") if text.exists() else ""
-    (stage / "report.html").write_text(write_page(found, log, name, pictures, listed, failures, formulas), encoding="utf-8")
+    equations = text.read_text(encoding="utf-8") if text.exists() else ""
+    (stage / "report.html").write_text(write_page(found, log, name, pictures, listed, failures, equations), encoding="utf-8")
     listed = pd.DataFrame(listed, columns=["file", "what"])
     files = sorted(path.relative_to(stage).as_posix() for path in stage.rglob("*") if path.is_file())
     pd.DataFrame({"file": [*files, LISTING]}).to_csv(stage / LISTING, index=False, lineterminator="\n")
@@ -161,26 +164,26 @@ def _exports(found, stage):
         except (ValueError, NotImplementedError) as error:
             failures.append(f"{what}: {error}")
 
-    def formulas():
+    def text_and_latex():
         if len(model.names_) > _SHOWN:
-            raise ValueError(f"{len(model.names_)} functions are too many to read; model.formulas() writes them all the same.")
+            raise ValueError(f"{len(model.names_)} functions are too many to read; tras.export.formulas(model) writes them all the same.")
         paths = [folder / "formulas.txt", folder / "formulas.tex"]
         for path, latex in zip(paths, (False, True)):
-            path.write_text(model.formulas(found.train, tolerance=0.01, latex=latex) + "\n", encoding="utf-8")
+            path.write_text(formulas(model, found.train, tolerance=0.01, latex=latex) + "\n", encoding="utf-8")
         return paths
 
     def state_space():
-        system = model.to_statespace()
+        system = to_statespace(model)
         path = folder / "statespace.npz"
         np.savez(path, A=system.A, B=system.B, C=system.C, D=system.D, dt=system.dt)
         return [path]
 
-    attempt("the model for MATLAB and GNU Octave (docs/export.md)", lambda: model.export_mat(folder / f"{name}.mat"))
-    attempt("the one-step predictor in C99", lambda: model.export_c(folder / f"{name}.c"))
+    attempt("the model for MATLAB and GNU Octave (docs/export.md)", lambda: to_matlab(model, folder / f"{name}.mat"))
+    attempt("the one-step predictor in C99", lambda: to_c(model, folder / f"{name}.c"))
     if model.predictor == "lifted_linear":
-        attempt("matrices A, B, C, D for python-control: model.to_statespace()", state_space)
+        attempt("matrices A, B, C, D for python-control: tras.export.to_statespace(model)", state_space)
     else:
-        attempt("formulas, as text and as LaTeX; terms that change a row by less than 1 % are left out", formulas)
+        attempt("formulas, as text and as LaTeX; terms that change a row by less than 1 % are left out", text_and_latex)
     return done, failures
 
 

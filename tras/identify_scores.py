@@ -84,7 +84,7 @@ def _one_step(model, starts, truth):
     count = model.delays + 2
     cut = [(s[k : k + count], u[k : k + count], x[k + count - 1]) for (s, u), (x, _) in zip(starts, truth) for k in range(0, len(s) - count + 1, count - 1)]
     cut = cut[:: max(1, len(cut) // _ONE_STEP)]
-    pieces = starts._with([s for s, _, _ in cut], [u for _, u, _ in cut])
+    pieces = starts.with_data([s for s, _, _ in cut], [u for _, u, _ in cut])
     with np.errstate(over="ignore", invalid="ignore"):
         predicted = np.asarray(model.predict(pieces))[:, -1]
     error = predicted - np.array([x for *_, x in cut])

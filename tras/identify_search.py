@@ -36,7 +36,7 @@ class Treated(NamedTuple):
 def rolled(model, starts, latest):
     """Roll-outs (list of (samples_i, n)) that all begin at sample ``latest``, whatever the model needs to know before it."""
     first = latest - model.delays
-    late = starts._with([x[first:] for x, _ in starts], [u[first:] for _, u in starts])
+    late = starts.with_data([x[first:] for x, _ in starts], [u[first:] for _, u in starts])
     with np.errstate(over="ignore", invalid="ignore"):  # what runs away is counted, not warned of
         return [x[model.delays :] for x in model.predict(late)]
 
@@ -140,7 +140,7 @@ def _tried(treatment, model, truth, latest):
         with np.errstate(over="ignore", invalid="ignore"):
             trial.fit(treatment.train)
             predicted = np.stack(rolled(trial, treatment.starts, latest)) / half_range
-            scaled = truth._with([x[latest:] / half_range for x, _ in truth], [u[latest:] for _, u in truth])
+            scaled = truth.with_data([x[latest:] / half_range for x, _ in truth], [u[latest:] for _, u in truth])
             error = multi_step_error(predicted.transpose(1, 2, 0), scaled, truth.n)
     except (ValueError, np.linalg.LinAlgError, MemoryError) as reason:
         failure = str(reason)

@@ -1,7 +1,7 @@
 """The Koopman matrix: K = Psi_x^+ Psi_y by least squares over all snapshot pairs (paper, (9)-(14)).
 
 The pairs stream through `tras.leastsquares` in blocks: memory does not grow with the number of samples, and coefficients are as good as those
-of a QR decomposition or better. Fitted is the change D = K - I, because ``psi(y) - psi(x)`` is small and K near the identity: rounding errors are
+of a QR decomposition or better. The fit is of the change D = K - I, because ``psi(y) - psi(x)`` is small and K near the identity: rounding errors are
 relative to D, which is what the logarithm needs, and functions that do not change (the constant, the inputs) get exactly zero.
 """
 
@@ -25,9 +25,9 @@ def snapshot_pairs(recording, block=4096, deal=0):
     ----------
     recording : Recording
     block : int
-        Pairs a block, about.
+        Pairs per block, about.
     deal : int
-        Deal the pairs out like cards, so many successive ones at a time, every k-th such lot into one block: each block is then typical of all.
+        Deal the pairs out like cards, this many successive ones at a time: each block is then typical of all pairs.
 
     Yields
     ------
@@ -38,14 +38,14 @@ def snapshot_pairs(recording, block=4096, deal=0):
         if deal:
             hands = max(1, len(x) // (block + deal - 1))  # of ``block`` pairs at least
             for k in range(hands):
-                chosen = _hand(len(x), k, hands, deal)
-                yield tuple(values[chosen].copy() for values in (x, u, y))  # views would keep all of them in memory
+                hand = _hand(len(x), k, hands, deal)
+                yield tuple(values[hand].copy() for values in (x, u, y))  # views would keep all of them in memory
         else:
             yield x, u, y
 
 
 def _hand(pairs, k, hands, lot):
-    """What selects the pairs that are dealt to hand ``k``."""
+    """Index of the pairs that are dealt to hand ``k``."""
     if lot == 1:
         return slice(k, None, hands)
     some = (np.arange(k * lot, pairs, hands * lot)[:, None] + np.arange(lot)).ravel()
@@ -53,7 +53,7 @@ def _hand(pairs, k, hands, lot):
 
 
 def _stretches(recording, size):
-    """At least ``size`` pairs each, in the order of time; the last one what is left."""
+    """Stretches of at least ``size`` pairs, in the order of time; the last one may be shorter."""
     waiting, count = [], 0
     for x, u in recording:
         for k in range(0, len(x) - 1, size):
@@ -78,18 +78,18 @@ def rows(dictionary, x, u, y, buffer=None):
     Where a pair begins at the end of the one before it, under the same input (there is none, or it was held), its lifting serves both.
     ``buffer(number, rows, columns)`` supplies the memory.
     """
-    z, _ = dictionary._points(x, u)
-    N, pairs, buffer = dictionary._size, len(x), buffer or _fresh
+    z, _ = dictionary.points(x, u)
+    N, pairs, buffer = dictionary.size, len(x), buffer or _fresh
     before = dictionary.lift(z, out=buffer(0, N, pairs))
     change = buffer(1, N, pairs)
     shared = (y[:-1] == x[1:]).all(axis=1) & (u[:-1] == u[1:]).all(axis=1)
     if 2 * np.count_nonzero(shared) < pairs:
-        dictionary.lift(dictionary._points(y, u)[0], out=change)
+        dictionary.lift(dictionary.points(y, u)[0], out=change)
         change -= before
     else:
         np.subtract(before[:, 1:], before[:, :-1], out=change[:, :-1])
         alone = np.flatnonzero(~np.append(shared, False))
-        change[:, alone] = dictionary.lift(dictionary._points(y[alone], u[alone])[0]) - before[:, alone]
+        change[:, alone] = dictionary.lift(dictionary.points(y[alone], u[alone])[0]) - before[:, alone]
     return before.T, change.T
 
 
@@ -104,20 +104,20 @@ def lifted_linear_rows(dictionary, x, u, y, buffer=None):
 
 def state_rows(dictionary, x, u, y, buffer=None):
     """Regressors ``psi(x, u)`` and the states' change ``y - x`` alone: what one step ahead needs, at two fifths of the operations."""
-    z, _ = dictionary._points(x, u)
+    z, _ = dictionary.points(x, u)
     change = np.subtract(y.T, x.T, out=(buffer or _fresh)(1, x.shape[1], len(x)))
-    return dictionary.lift(z, out=(buffer or _fresh)(0, dictionary._size, len(x))).T, change.T
+    return dictionary.lift(z, out=(buffer or _fresh)(0, dictionary.size, len(x))).T, change.T
 
 
 def lifting(dictionary, of=rows):
     """``(x, u, y) -> (regressors, targets)`` in memory that each thread uses again and again."""
-    own = threading.local()
+    thread = threading.local()
 
     def buffer(number, rows, columns):
-        kept = own.__dict__.setdefault("kept", {})
-        if number not in kept or kept[number].size < rows * columns:
-            kept[number] = np.empty(rows * columns)
-        return kept[number][: rows * columns].reshape(rows, columns)
+        buffers = thread.__dict__.setdefault("buffers", {})
+        if number not in buffers or buffers[number].size < rows * columns:
+            buffers[number] = np.empty(rows * columns)
+        return buffers[number][: rows * columns].reshape(rows, columns)
 
     return lambda block: of(dictionary, *block, buffer)
 
@@ -154,8 +154,8 @@ def koopman_matrix(dictionary, recording, names=None):
 
 
 def block_size(dictionary):
-    """Rows a block: one panel of the solver, so that nothing waits."""
-    return panel_rows(dictionary._size)
+    """Rows per block: one panel of the solver, so that nothing waits."""
+    return panel_rows(dictionary.size)
 
 
 def check_head(fit, head):

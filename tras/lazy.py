@@ -1,10 +1,11 @@
-"""Recordings of which nothing is loaded but names and lengths: files and xarray's datasets, which are read in slices.
+"""Recordings larger than memory: files and xarray's datasets, of which nothing is loaded but names and lengths, and streams of them.
 
 A piece is a stretch of one trajectory. Neighbours share as many samples as a snapshot pair reaches over, so no pair is lost, and none reaches from one
 trajectory into the next.
 """
 
 import contextlib
+import functools
 import itertools
 from pathlib import Path
 from typing import NamedTuple
@@ -13,7 +14,7 @@ import h5netcdf
 import numpy as np
 
 from tras.netcdf import FORMAT
-from tras.recording import Recording
+from tras.recording import Recording, require_alike
 
 
 class UnreadableError(ValueError):
@@ -45,10 +46,10 @@ class _Lazy:
         if self.lengths.sum() != sizes["sample"]:
             raise ValueError(f"row_size sums to {self.lengths.sum()} but there are {sizes['sample']} samples")
         for role in ("state", "input"):
-            found = [(int(v.attrs["position"]), name, v.attrs["units"]) for name, v in source.variables.items() if v.attrs.get("role") == role]
-            found.sort()
-            setattr(self, f"{role}_names", tuple(name for _, name, _ in found))
-            setattr(self, f"{role}_units", tuple(unit for _, _, unit in found))
+            variables = [(int(v.attrs["position"]), name, v.attrs["units"]) for name, v in source.variables.items() if v.attrs.get("role") == role]
+            variables.sort()
+            setattr(self, f"{role}_names", tuple(name for _, name, _ in variables))
+            setattr(self, f"{role}_units", tuple(unit for _, _, unit in variables))
 
     @property
     def pairs(self):
@@ -203,3 +204,112 @@ def spans(lengths, size, shared):
             raise ValueError(f"trajectory {i} has {length} samples, too few for {shared - 1} delays; leave it out or use fewer delays.")
         for first in range(0, max(int(length) - shared, 1), size):
             yield i, first, int(min(first + size + shared, length))
+
+
+def open_recording(path):
+    """A file that `Recording.write` has written, to be read piece by piece: for recordings larger than memory.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Of a .nc file.
+
+    Returns
+    -------
+    RecordingFile
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is not a NetCDF-4 file or not a recording.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "long.nc"
+    >>> Recording(np.zeros((2, 5, 1)), dt=0.1).write(path)
+    >>> open_recording(path).pairs
+    8
+    """
+    return RecordingFile(path)
+
+
+_READABLE = (Recording, RecordingFile, RecordingDataset)
+
+
+def is_dataset(source):
+    """Whether it is an ``xarray.Dataset``; xarray is not imported to find out."""
+    return hasattr(source, "data_vars") and hasattr(source, "sizes")
+
+
+class Stream:
+    """All pieces of a path, a file, a dataset, a recording, an iterable of them, or a callable that returns one.
+
+    Attributes
+    ----------
+    once : bool
+        Whether it can be read once only.
+    template : Recording
+        Its labels are those of all; known as soon as the first piece is.
+    """
+
+    def __init__(self, source, size, shared):
+        self.source, self.size, self.shared, self.template = source, size, shared, None
+        self.once = hasattr(source, "__next__")
+
+    def pieces(self, first=0, last=None):
+        """Each `Piece` in order, or those numbered ``first`` to ``last - 1``; from the beginning each time, unless it can be read once only."""
+        for recording in self.recordings():
+            count = sum(1 for _ in spans(recording.lengths, self.size, self.shared)) if first or last is not None else 0
+            if first < count or not count:
+                read = functools.partial(_in_memory, recording) if isinstance(recording, Recording) else recording.pieces
+                yield from read(self.size, self.shared, first, last)
+            first, last = max(0, first - count), None if last is None else last - count
+            if last is not None and last <= 0:
+                return
+
+    def counts(self):
+        """Pairs of each piece; nothing is read."""
+        return [b - a - self.shared for recording in self.recordings() for _, a, b in spans(recording.lengths, self.size, self.shared)]
+
+    def opened(self):
+        """The same stream, of files that are open to be read anywhere and of recordings."""
+        new = Stream(list(self.recordings()), self.size, self.shared)
+        new.template = self.template
+        return new
+
+    def recordings(self):
+        """Each recording, file or dataset in turn, all with the same channels."""
+        source = self.source() if callable(self.source) else self.source
+        for k, item in enumerate([source] if isinstance(source, (str, Path, *_READABLE)) or is_dataset(source) else source):
+            recording = RecordingFile(item) if isinstance(item, (str, Path)) else RecordingDataset(item) if is_dataset(item) else item
+            if not isinstance(recording, _READABLE):
+                raise ValueError(f"recording {k} is {type(item).__name__}; give a tras.Recording, the path of a file or an xarray.Dataset.")
+            if self.template is None:
+                self.template = recording[:1] if isinstance(recording, Recording) else recording.nothing()
+            require_alike(self.template, recording, k)
+            yield recording
+
+    def recording(self, pieces):
+        """A `Recording` of some pieces."""
+        x, u = zip(*((piece.x, piece.u) for piece in pieces))
+        return self.template.with_data(list(x), list(u))
+
+
+def without(piece, starts, length, shared):
+    """What is left of a piece when the pairs ``start`` to ``start + length`` are taken out, for each start in order: a list of pieces."""
+    pieces, begin = [], 0
+    for start, after in [*((start, start + length) for start in starts), (piece.pairs, piece.pairs)]:
+        if start > begin:
+            pieces.append(Piece(piece.x[begin : start + shared], piece.u[begin : start + shared], start - begin))
+        begin = after
+    return pieces
+
+
+def _in_memory(recording, size, shared, first=0, last=None):
+    trajectories = list(recording)
+    for i, a, b in itertools.islice(spans(recording.lengths, size, shared), first, last):
+        x, u = trajectories[i]
+        yield Piece(x[a:b], u[a:b], b - a - shared)

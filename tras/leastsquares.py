@@ -30,7 +30,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import blas, lapack, svd
+from scipy.linalg import blas, svd
 
 from tras.basis import Basis, Sketch, cholesky, condition_number, householder, powers_of_two, require_finite, sums_of_squares
 from tras.threads import one_blas_thread
@@ -38,7 +38,7 @@ from tras.threads import one_blas_thread
 _EPS = np.finfo(float).eps
 _WORST_GRAM = 1e5  # condition number of G (1-norm, equilibrated) beyond which the basis is renewed
 _LOST = 1e12  # ... beyond which G itself is too rounded to renew the basis from
-_SAMPLE = 16  # rows a regressor that the first basis is made of, if there are so many to be seen at once
+_SAMPLE = 16  # rows per regressor that the first basis is made of, if there are so many to be seen at once
 _GROWTH = 4.0  # G is examined again when its trace has grown by this factor
 
 
@@ -88,11 +88,12 @@ class StreamingLeastSquares:
         full = waiting >= panel
         self._waiting.append((regressors, targets) if full else (regressors.copy(), targets.copy()))
         if full:
-            self._work_off(panel)
+            self.work_off(panel)
         return self
 
-    def _work_off(self, panel):
-        """Absorb all waiting rows, in panels of equal size."""
+    def work_off(self, panel=None):
+        """Absorb all waiting rows, in panels of equal size, about ``panel`` rows each; by default in one."""
+        panel = panel or max(self.rows, 1)
         parts, self._waiting = [part for part in self._waiting if len(part[0])], []
         if not parts:
             return
@@ -106,7 +107,7 @@ class StreamingLeastSquares:
         """``update(*lift(block))`` for each block, by several threads; the outcome has the same bits whatever their number.
 
         Each thread lifts a block and multiplies what it lifted; the products are added up here, in the order of the blocks. BLAS itself is held to
-        one thread meanwhile. If the first block has fewer than 16 rows a regressor, the basis is made of so many blocks as have.
+        one thread meanwhile. If the first block has fewer than 16 rows per regressor, the basis is made of so many blocks as have.
 
         Parameters
         ----------
@@ -147,12 +148,12 @@ class StreamingLeastSquares:
         if not panel <= len(x) < min(2 * panel, _SAMPLE * p):
             self.update(x, y)
             return blocks
-        sample, seen = Sketch(p).add(x), [block]
+        sample, blocks_of_sample = Sketch(p).add(x), [block]
         while sample.rows < _SAMPLE * p and (block := next(blocks, None)) is not None:
-            seen.append(block)
+            blocks_of_sample.append(block)
             sample.add(regressors(block))
         self._begin(sample.basis(), (p, y.shape[1]))
-        return itertools.chain(seen, blocks)
+        return itertools.chain(blocks_of_sample, blocks)
 
     def _begin(self, basis, shapes):
         """No products yet, in a basis that is to serve from here on."""
@@ -165,8 +166,8 @@ class StreamingLeastSquares:
     def _collect(self, running, lift, leave=0):
         """Add what was found of the first blocks, in order, but for the last ``leave``."""
         while len(running) > leave:
-            block, basis, found = running.popleft()
-            products = found.result()
+            block, basis, future = running.popleft()
+            products = future.result()
             if basis is not self._basis:  # it was renewed meanwhile
                 products = _lifted_products(self._basis, lift, block)
             self._add(products, lambda: lift(block))
@@ -229,7 +230,7 @@ class StreamingLeastSquares:
         if other._shapes != self._shapes:
             raise ValueError(f"other has (regressors, targets) {other._shapes}, these rows {self._shapes}; they must be alike.")
         for solver in (self, other):
-            solver._work_off(max(solver.rows, 1))
+            solver.work_off()
         if not self._basis.same_as(other._basis):
             scale = np.maximum(self._basis.scale, other._basis.scale)
             one, two = (s._basis.factor(cholesky(s._gram + s._basis.ridge_gram())) * (s._basis.scale / scale) for s in (self, other))
@@ -251,7 +252,7 @@ class StreamingLeastSquares:
     def emptied(self):
         """A solver without rows that begins with this one's basis, for rows of the same kind."""
         if self._basis is None:
-            self._work_off(self.rows)
+            self.work_off()
         new = StreamingLeastSquares(self.panel)
         new._begin(self._basis, self._shapes)
         return new
@@ -276,7 +277,7 @@ class StreamingLeastSquares:
         """
         if self.rows == 0:
             raise ValueError("there are no rows; call update(regressors, targets) first.")
-        self._work_off(self.rows)
+        self.work_off()
         L = cholesky(self._gram)
         basis = self._basis
         rotated = blas.dtrsm(1.0, L, self._cross, trans_a=1)  # Q^T targets

@@ -105,7 +105,7 @@ class Mechanical(Dictionary):
         return psi[first] * psi[second]
 
     def _polynomials(self, tables):
-        """Products over the shape of polynomials, one row a function: tables (degree + 1, points) -> (functions, points)."""
+        """Products over the shape of polynomials, one row per function: tables (degree + 1, points) -> (functions, points)."""
         product = tables[0][self._powers[:, 0]]
         for c in range(1, len(tables)):
             product = product * tables[c][self._powers[:, c]]

@@ -40,7 +40,7 @@ def add_noise(recording, level, rng):
         raise ValueError(f"rng is {rng!r}; give a numpy.random.Generator or a seed, so that the noise can be had again.")
     rng = np.random.default_rng(rng)
     sigma = fraction * np.ptp(np.concatenate([x for x, _ in recording]), axis=0)
-    return recording._with([x + sigma * rng.standard_normal(x.shape) for x, _ in recording], [u for _, u in recording])
+    return recording.with_data([x + sigma * rng.standard_normal(x.shape) for x, _ in recording], [u for _, u in recording])
 
 
 def noise_level(recording):

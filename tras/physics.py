@@ -115,10 +115,10 @@ def parameter_intervals(model, recording, draws=50, level=0.95, seed=0, pipeline
     points = recording if points is None else _plant_channels(join(points))
     if not np.array_equal(points.lengths, recording.lengths):
         raise ValueError(f"points has {len(points)} trajectories, recording {count}, or their lengths differ; give the same ones, smoothed.")
-    identify = pipeline or (lambda drawn: clone(model).fit(drawn))
+    identify = pipeline or (lambda resample: clone(model).fit(resample))
     value = _estimate(model, points)
-    drawn = np.random.default_rng(seed).integers(count, size=(draws, count)).tolist()
-    tasks = (delayed(_draw)(identify, recording, points, k, chosen) for k, chosen in enumerate(drawn))
+    resamples = np.random.default_rng(seed).integers(count, size=(draws, count)).tolist()
+    tasks = (delayed(_draw)(identify, recording, points, k, indices) for k, indices in enumerate(resamples))
     parallel = Parallel(n_jobs=processes, return_as="generator")(tasks)
     estimates = np.array(list(tqdm(parallel, total=draws, desc="bootstrap", leave=False, disable=None)))
     low, high = np.quantile(estimates, [(1 - level) / 2, (1 + level) / 2], axis=0)
@@ -126,10 +126,10 @@ def parameter_intervals(model, recording, draws=50, level=0.95, seed=0, pipeline
     return pd.DataFrame(columns, index=list(PARAMETER_NAMES))
 
 
-def _draw(identify, recording, points, k, chosen):
+def _draw(identify, recording, points, k, indices):
     """The parameters from one draw of trajectories."""
     try:
-        return _estimate(identify(recording[chosen]), points[chosen])
+        return _estimate(identify(recording[indices]), points[indices])
     except ValueError as error:
         raise ValueError(f"draw {k} of the bootstrap cannot be identified ({error})") from error
 

@@ -157,7 +157,7 @@ def partition(recording):
     first = [(x[: end + 1], u[: end + 1]) for x, u, end in parts] + rest
     last = [(x[end:], u[end:]) for x, u, end in parts]
     remark = "the last fifth of " + ("the recording" if len(recording) == 1 else "each trajectory") + " is kept for the test"
-    train, test = (recording._with(*map(list, zip(*part))) for part in (first, last))
+    train, test = (recording.with_data(*map(list, zip(*part))) for part in (first, last))
     return train, test, remark
 
 
@@ -192,7 +192,7 @@ def smoothed(recording, pairs):
         pieces = [x for x, _ in whole[k : k + len(part)]]
         states.append(np.concatenate([pieces[0], *(x[1:] for x in pieces[1:])]))
         k += len(part)
-    return recording._with(states, [u for _, u in recording])
+    return recording.with_data(states, [u for _, u in recording])
 
 
 def _and(names):

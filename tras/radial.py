@@ -36,8 +36,8 @@ class Radial(Dictionary):
             return rng.uniform(-1, 1, size=(self.n_centres, len(z)))
         if z.shape[1] < self.n_centres:
             raise ValueError(f"n_centres is {self.n_centres} but there are only {z.shape[1]} samples; use fewer centres.")
-        chosen = z.T[rng.choice(z.shape[1], self.n_centres, replace=False)]
-        return chosen if self.centres == "data" else _kmeans(z.T, chosen)
+        points = z.T[rng.choice(z.shape[1], self.n_centres, replace=False)]
+        return points if self.centres == "data" else _kmeans(z.T, points)
 
     def _build(self):
         square = self.width_**2

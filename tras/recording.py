@@ -74,13 +74,6 @@ class Recording:
             _check_finite(names, trajectories)
         self.attributes = _attributes(attributes or {})
 
-    @classmethod
-    def _of_arrays(cls, states, inputs, dt):
-        """A recording of sound arrays (trajectories, samples, channels), unchecked and unnamed."""
-        new = object.__new__(cls)
-        new.__dict__.update(_states=list(states), _inputs=list(inputs), dt=dt, attributes={})
-        return new
-
     @property
     def states(self):
         """(trajectories, samples, n) array; a list of (samples_i, n) when the lengths differ."""
@@ -120,8 +113,8 @@ class Recording:
 
     def __getitem__(self, index):
         """A recording of the trajectory or trajectories at an integer, slice, list of integers or boolean mask."""
-        chosen = np.arange(len(self))[index]
-        return self._with([self._states[i] for i in np.atleast_1d(chosen)], [self._inputs[i] for i in np.atleast_1d(chosen)])
+        numbers = np.atleast_1d(np.arange(len(self))[index])
+        return self.with_data([self._states[i] for i in numbers], [self._inputs[i] for i in numbers])
 
     def __repr__(self):
         lengths = self.lengths
@@ -139,7 +132,7 @@ class Recording:
         """
         x = _columns("states", self.state_names, states)
         u = _columns("inputs", self.input_names, inputs)
-        return self._with(
+        return self.with_data(
             [a[:, x] for a in self._states],
             [a[:, u] for a in self._inputs],
             state_names=[self.state_names[i] for i in x],
@@ -162,7 +155,7 @@ class Recording:
         if samples < 2 or samples > self.lengths.max():
             raise ValueError(f"samples = {samples}; pieces need 2 to {self.lengths.max()} samples, the longest trajectory's length.")
         starts = [(x, u, k) for x, u in self for k in range(0, len(x) - samples + 1, samples - 1)]
-        return self._with([x[k : k + samples] for x, _, k in starts], [u[k : k + samples] for _, u, k in starts])
+        return self.with_data([x[k : k + samples] for x, _, k in starts], [u[k : k + samples] for _, u, k in starts])
 
     def cut_all(self, samples):
         """As `cut`, but nothing is lost: rests, and trajectories that are shorter, are kept with the length they have."""
@@ -174,7 +167,7 @@ class Recording:
             for k in range(0, max(len(x) - 1, 1), samples - 1):
                 states.append(x[k : k + samples])
                 inputs.append(u[k : k + samples])
-        return self._with(states, inputs)
+        return self.with_data(states, inputs)
 
     def delayed(self, delays, *, inputs=False):
         """The states of ``delays`` earlier samples, newest first, as states beside the present ones, and the earlier inputs if asked.
@@ -204,7 +197,7 @@ class Recording:
         for labels, marks in ((self.state_names, self.state_units), (self.input_names, self.input_units))[: 1 + inputs]:
             names += [f"{label}[-{k}]" for k in past for label in labels]
             units += list(marks) * delays
-        return self._with(states, held, state_names=names, state_units=units)
+        return self.with_data(states, held, state_names=names, state_units=units)
 
     def split(self, fraction, seed):
         """Two recordings: a random ``fraction`` of the trajectories, and the rest, each in the old order.
@@ -222,7 +215,7 @@ class Recording:
         return self[np.sort(order[:first])], self[np.sort(order[first:])]
 
     def to_frame(self):
-        """A pandas table: trajectory, time in s, then one column a channel."""
+        """A pandas table: trajectory, time in s, then one column per channel."""
         import pandas
 
         names = self.state_names + self.input_names
@@ -232,7 +225,7 @@ class Recording:
         return frame
 
     def to_xarray(self):
-        """An ``xarray.Dataset``: one variable a channel along ``sample``, trajectories one behind the other.
+        """An ``xarray.Dataset``: one variable per channel along ``sample``, trajectories one behind the other.
 
         ``row_size`` holds the number of samples of each trajectory (CF conventions, contiguous ragged array). The global
         attribute ``attributes`` holds all of this recording's attributes as JSON, from which `read` has them back exactly; those
@@ -319,18 +312,8 @@ class Recording:
             what = str(error) if isinstance(error, ValueError) else f"it is damaged, or not what its suffix says ({type(error).__name__}: {error})"
             raise RecordingError(what if what.startswith(str(path)) else f"{path}: {what}") from error
 
-    @staticmethod
-    def open(path):
-        """A file that `write` has written, to be read piece by piece: a `tras.pieces.RecordingFile`, for recordings larger than memory.
-
-        Raises as `read` does.
-        """
-        from tras.pieces import RecordingFile  # which imports this module
-
-        return RecordingFile(path)
-
-    def _with(self, states, inputs, **labels):
-        """A recording of other data with this one's labels; the data are known to be sound, so nothing is checked again."""
+    def with_data(self, states, inputs, **labels):
+        """A recording of other trajectories (lists of arrays) with this one's labels; sound data, which are not checked again."""
         new = object.__new__(type(self))
         new.__dict__.update(self.__dict__, _states=states, _inputs=inputs, attributes=dict(self.attributes))
         new.__dict__.update({name: tuple(value) for name, value in labels.items()})
@@ -358,7 +341,7 @@ def join(recordings):
     first = recordings[0]
     for i, other in enumerate(recordings[1:], start=1):
         require_alike(first, other, i)
-    return first._with([x for r in recordings for x, _ in r], [u for r in recordings for _, u in r])
+    return first.with_data([x for r in recordings for x, _ in r], [u for r in recordings for _, u in r])
 
 
 def require_alike(first, other, i):
@@ -423,7 +406,7 @@ def _labels(role, letter, trajectories, names, units):
     count = trajectories[0].shape[1]
     for kind, labels in (("names", names), ("units", units)):
         if isinstance(labels, str):
-            raise ValueError(f"{role}_{kind} is the string {labels!r}; give a list of strings, one a channel.")
+            raise ValueError(f"{role}_{kind} is the string {labels!r}; give a list of strings, one per channel.")
     names = tuple(names) if names is not None else tuple(f"{letter}{i + 1}" for i in range(count))
     units = tuple(units) if units is not None else ("",) * count
     for kind, labels in (("names", names), ("units", units)):

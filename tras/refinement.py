@@ -8,7 +8,6 @@ from scipy import linalg
 from tqdm import tqdm
 
 from tras.noise import noise_level
-from tras.recording import join
 
 _SEGMENTS = (1001, 501, 251, 126, 63)  # samples that `refine` follows in one piece: the first that it can
 _TRUST = 1e-3  # in half-ranges: states that are known better count as if they were not, or they would outweigh all others
@@ -55,7 +54,7 @@ def refine(model, recording, rows=None, iterations=6, segment=None):
     for name, value, least in (("iterations", iterations, 1), ("segment", _SEGMENTS[0] if segment is None else segment, 2)):
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
             raise ValueError(f"{name} is {value!r}; give a whole number, {least} or more.")
-    recording = model._same_channels(join(recording))
+    recording = model.channels_.matched(recording)
     model = copy.deepcopy(model)
     rows = _equations(model, recording, rows)
     longest = int(recording.lengths.max())
@@ -86,7 +85,7 @@ def _equations(model, recording, rows):
             if name not in names:
                 raise ValueError(f"rows: there is no state {name!r}; name one or more of {', '.join(names)}.")
         return [i for i, name in enumerate(names) if name in rows]
-    z = np.concatenate([np.hstack(pair) for pair in model._scaled(recording)])
+    z = np.concatenate([np.hstack(pair) for pair in model.channels_.scaled(recording)])
     z = z[:: max(1, len(z) // 5000)].T
     rates = (model.W_ @ model.dictionary_.lift(z)).T * model.x_scale_
     x = z[: len(names)].T * model.x_scale_ + model.x_offset_
@@ -106,7 +105,7 @@ class _Shooting:
         self.dictionary, self.rows, self.N = model.dictionary_, rows, model.W_.shape[1]
         self.substeps, self.h = model.substeps_, model.dt_ / model.substeps_
         self.weight = model.x_scale_ / np.maximum(noise_level(recording), _TRUST * model.x_scale_)
-        pieces = [(x[k : k + segment], u[k : k + segment]) for x, u in model._scaled(recording) for k in range(0, len(x) - 1, segment)]
+        pieces = [(x[k : k + segment], u[k : k + segment]) for x, u in model.channels_.scaled(recording) for k in range(0, len(x) - 1, segment)]
         self.blocks = []  # [states (samples, n, segments), inputs (samples, m, segments)]
         for _, alike in itertools.groupby(sorted(pieces, key=_length), key=_length):
             alike = list(alike)

@@ -15,10 +15,10 @@ def hold_out(recording):
     parts = recording if len(recording) >= 5 else recording.cut_all(max(2, -(-int(recording.lengths.max() - 1) // (5 + 1)) + 1))
     if len(parts) < 5 or np.median(parts.lengths) < 10:
         return recording, None
-    chosen = np.arange(len(parts)) % 5 == 4
-    lengths = parts.lengths[chosen]
+    fifth = np.arange(len(parts)) % 5 == 4
+    lengths = parts.lengths[fifth]
     window = int(min(WINDOW, np.median(lengths)))
-    whole, rest = parts[chosen].cut_all(window), parts[~chosen]
+    whole, rest = parts[fifth].cut_all(window), parts[~fifth]
     full = whole.lengths == window
     leftover = [whole[~full]] if (~full).any() else []
     return join([rest, *leftover]), whole[full]

@@ -56,7 +56,7 @@ def smooth(recording, pairs=None):
         _, order, intensity = min(_likeliest(measured, deviation, order) for order in ((2, 3) if len(group) == 1 else (3,)))
         for into, values in zip(smoothed, _smooth(measured, deviation, order, intensity)):
             into[:, group] = values * scale + offset
-    return recording._with(smoothed, [u for _, u in recording])
+    return recording.with_data(smoothed, [u for _, u in recording])
 
 
 def _groups(names, pairs):

@@ -10,14 +10,13 @@ import pandas as pd
 from scipy import linalg
 
 from tras.koopman import snapshot_pairs
-from tras.recording import join
 
 SPURIOUS = 0.1  # a residual beyond a tenth of the eigenfunction's size
 
 
 def eigenpairs(model):
     """Eigenvalues (N,) of K, largest modulus first, and the coefficients (N, N) of the eigenfunctions ``psi^T g`` in columns."""
-    model._require_all_columns()
+    model.require_all_columns()
     values, vectors = linalg.eig(model.koopman_matrix)
     order = np.lexsort((-values.imag, -np.abs(values)))
     return values[order], vectors[:, order]
@@ -93,7 +92,7 @@ def projection_error(model, recording):
         dictionary is closed, about one where K explains nothing, above it on fresh data that K misleads; functions of the input alone do not
         change and have zero.
     """
-    model._require_all_columns()
+    model.require_all_columns()
     error = change = 0.0
     for before, after in _liftings(model, recording):
         error = error + np.sum((after - before @ model.koopman_matrix) ** 2, axis=0)
@@ -104,6 +103,6 @@ def projection_error(model, recording):
 
 def _liftings(model, recording):
     """Blocks of (psi(x, u), psi(y, u)) over the snapshot pairs."""
-    recording = model._same_channels(join(recording))
+    recording = model.channels_.matched(recording)
     for x, u, y in snapshot_pairs(recording):
         yield model.lift(x, u), model.lift(y, u)

@@ -16,7 +16,7 @@ def field_of(model):
     ValueError
         If the model predicts in another way, or is confined to its training data: its functions alone do not say what it does then.
     """
-    if model.predictor != "vector_field" or hasattr(model, "hull_"):
+    if model.predictor != "vector_field" or model.hull_ is not None:
         raise ValueError("only models with predictor='vector_field' and extrapolation='functions' can be stacked; fit one with these options.")
     scales = {f"{letter}_{kind}": getattr(model, f"{letter}_{kind}_").tolist() for letter in "xu" for kind in ("offset", "scale")}
     return {"W": model.W_.tolist(), "substeps": model.substeps_, "delays": model.delays, "dt": model.dt_, **scales}
@@ -27,7 +27,7 @@ def alike(models):
     groups, points = {}, {}
     for i, model in enumerate(models):
         key = i
-        if model.predictor == "vector_field" and not hasattr(model, "hull_"):
+        if model.predictor == "vector_field" and not model.hull_ is not None:
             channels = model.dictionary_.n_states_ + model.dictionary_.n_inputs_
             some = points.setdefault(channels, np.random.default_rng(0).uniform(-1, 1, (channels, 5)))  # dictionaries are told apart by values there
             key = model.delays, model.substeps_, model.dt_, len(model.state_names_), model.dictionary_.lift(some).tobytes()
@@ -44,7 +44,7 @@ def predict(models, recordings):
     """
     if len(models) == 1:
         return [models[0].predict(recordings[0])]
-    recordings = [model._same_channels(recording) for model, recording in zip(models, recordings)]
+    recordings = [model.channels_.matched(recording) for model, recording in zip(models, recordings)]
     starts = np.stack([recording.states[:, : model.delays + 1] for model, recording in zip(models, recordings)])
     inputs = np.stack([recording.inputs for recording in recordings])
     return list(free_runs(models[0].dictionary_, [field_of(model) for model in models], starts, inputs))
@@ -58,7 +58,7 @@ def free_runs(dictionary, fields, starts, inputs):
     dictionary : Dictionary
         Fitted, of scaled channels; the same one for all models.
     fields : list of dict
-        From `field_of`, one a model; delays, substeps and sampling time alike.
+        From `field_of`, one per model; delays, substeps and sampling time alike.
     starts : (models, runs, delays + 1, n) ndarray
         First samples, in physical units.
     inputs : (models, runs, samples, m) ndarray

@@ -10,9 +10,11 @@ from sklearn.base import clone
 from tras import dictionary as general
 from tras import mechanical, radial
 from tras.dictionary import Dictionary
+from tras.estimator import Channels
 from tras.files import replacing
+from tras.hull import Hull
+from tras.predictors import PREDICTORS
 from tras.recording import versions
-from tras.rollout import Hull
 
 _FORMAT = "tras model 2"
 # What reading a damaged file, and making something of what it holds, may raise.
@@ -29,39 +31,32 @@ _ARRAYS = (
     "koopman_matrix", "generator", "W_", "B_", "condition_number", "residual_", "field_disagreement_", "substeps_",
     "x_offset_", "x_scale_", "u_offset_", "u_scale_", "outward_", "outward_step_", "log_residual_", "refinement_",
 )  # fmt: skip
-HULL = ("centre", "axes", "low", "high")
+_LABELS = ("dt", "state_names", "state_units", "input_names", "input_units")
+_SCALES = ("x_offset", "x_scale", "u_offset", "u_scale")
 
 
 def save(model, path):
     """See `tras.KoopmanModel.save`."""
-    arrays = {key: getattr(model, key) for key in _ARRAYS if hasattr(model, key)}
+    arrays = {key: value for key in _ARRAYS if (value := getattr(model, key, None)) is not None}
     parameters = {key: value for key, value in model.get_params(deep=False).items() if key != "dictionary"}
     header = {"format": _FORMAT, "versions": versions(), "parameters": parameters, **{key: getattr(model, key + "_") for key in _HEADER}}
     if hasattr(model, "errors_"):
         header["errors"] = [[float(key), float(value)] for key, value in model.errors_.items()]
-    if hasattr(model, "hull_"):
-        arrays |= {f"hull.{key}": getattr(model.hull_, key) for key in HULL}
+    if model.hull_ is not None:
+        arrays |= {f"hull.{key}": value for key, value in model.hull_.arrays().items()}
         header["free"] = [int(i) for i in model.hull_.free]
     header["dictionary"] = _pack(model.dictionary_, "dictionary", arrays)
     with replacing(_npz_path(path)) as temporary:
         np.savez(temporary, header=np.array(json.dumps(header)), **arrays)
 
 
-def load_model(path):
-    """Read a model that `KoopmanModel.save` has written; nothing in the file is executed.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is no model, is damaged, or is of a version that this release does not know.
-    """
+def load(path, make):
+    """What ``make(parameters, dictionary, channels, attributes)`` makes of a file that `save` has written. See `tras.load_model`."""
     path = _npz_path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist; fit a model and save it with model.save({str(path)!r}).")
     try:
-        return _restore(*read_npz(path, _FORMAT))
+        return make(*_restored(*read_npz(path, _FORMAT)))
     except UNREADABLE as error:
         raise ValueError(f"{path} cannot be read as a model ({error}); save it again with KoopmanModel.save.") from error
 
@@ -76,36 +71,28 @@ def read_npz(path, form):
     return header, arrays
 
 
-def _restore(header, arrays):
-    """The model that fit had made, from a file's header and arrays."""
-    from tras.model import KoopmanModel  # which imports this module
-
-    dictionary = _unpack(header["dictionary"], "dictionary", arrays)
-    model = KoopmanModel(clone(dictionary), **header["parameters"])
-    model.dictionary_ = dictionary
+def _restored(header, arrays):
+    """Parameters, fitted dictionary, channels and attributes of the model that a file holds."""
+    parameters, dictionary = header["parameters"], _unpack(header["dictionary"], "dictionary", arrays)
+    attributes = {"hull_": None, "outward_": None, "outward_step_": None}
     if "hull.centre" in arrays:
-        model.hull_ = restored_hull({key: arrays.pop(f"hull.{key}") for key in HULL}, header["free"])
+        attributes["hull_"] = Hull.restored({key: arrays.pop(f"hull.{key}") for key in ("centre", "axes", "low", "high")}, header["free"])
     if "errors" in header:
-        model.errors_ = dict(map(tuple, header["errors"]))
-    for key in _HEADER:
-        value = header[key]
-        setattr(model, key + "_", tuple(value) if isinstance(value, list) and key != "names" else value)
+        attributes["errors_"] = dict(map(tuple, header["errors"]))
+    header = {key: tuple(value) if isinstance(value := header[key], list) and key != "names" else value for key in _HEADER}
+    attributes |= {f"{key}_": value for key, value in header.items() if key not in _LABELS}
     for key, value in arrays.items():
         if key not in _ARRAYS:
             raise ValueError(f"it holds {key!r}, which is no part of a model")
-        setattr(model, key, value.item() if value.ndim == 0 else value)
-    needed = {"koopman_matrix", "x_scale_", "x_offset_", "u_scale_", "u_offset_"}
-    needed |= {"vector_field": {"W_", "substeps_", "generator"}, "lifted_linear": {"B_"}}.get(model.predictor, set())
+        attributes[key] = value.item() if value.ndim == 0 else value
+    needed = {"koopman_matrix", *(f"{key}_" for key in _SCALES)}
+    needed |= {"vector_field": {"W_", "substeps_", "generator"}, "lifted_linear": {"B_"}}.get(parameters["predictor"], set())
     if not needed <= set(arrays):
         raise ValueError(f"it lacks {sorted(needed - set(arrays))[0]!r}")
-    return model
-
-
-def restored_hull(arrays, free):
-    """The hull that had these arrays, one for each name in `HULL`."""
-    hull = object.__new__(Hull)
-    hull.__dict__.update(arrays, free=free)
-    return hull.settle()
+    scales = {key: attributes.pop(f"{key}_") for key in _SCALES}
+    labels, delayed_inputs = {key: header[key] for key in _LABELS}, PREDICTORS[parameters["predictor"]].delays_inputs
+    channels = Channels(**labels, **scales, delays=parameters["delays"], delayed_inputs=delayed_inputs)
+    return parameters, dictionary, channels, attributes
 
 
 def _pack(dictionary, place, arrays):
@@ -144,7 +131,7 @@ def _unpack(header, place, arrays):
     if hasattr(dictionary, "centres_") and None in (dictionary.seed, dictionary.centres):
         dictionary.centres = dictionary.centres_  # drawn by a Generator, or given: fitted again, the model has the same ones
         dictionary.seed = 0 if dictionary.seed is None else dictionary.seed
-    return dictionary._restore()
+    return dictionary.restore()
 
 
 def _npz_path(path):

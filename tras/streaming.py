@@ -16,12 +16,12 @@ import numpy as np
 from tqdm import tqdm
 
 from tras import checkpoint as store
-from tras import distributed, executors, koopman, scaling
-from tras.pieces import Piece, RecordingFile, Stream, UnreadableError, is_dataset, without
+from tras import distributed, executors, koopman
+from tras.estimator import checked
+from tras.fitting import Fit
+from tras.lazy import Piece, RecordingFile, Stream, UnreadableError, is_dataset, without
 from tras.recording import Recording, join, whole_number
-from tras.selection import WINDOW
-
-__all__ = ["RecordingFile", "fit", "needed"]
+from tras.selection import WINDOW, hold_out
 
 _WINDOWS = 100  # windows of a sample at least, if there are so many; at most twice as many
 _TOGETHER = 2**16  # pairs that are scaled at once
@@ -36,8 +36,8 @@ def needed(source):
     return hasattr(source, "__iter__") and not isinstance(source, Recording) and not hasattr(source, "__array__")
 
 
-def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=None, every=60.0, scheduler=None, parts=None, threads=None):
-    """Fit a `KoopmanModel` to data of any size; its ``fit`` calls this.
+def absorb(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=None, every=60.0, scheduler=None, parts=None, threads=None):
+    """Read data of any size into a `Fit`; `KoopmanModel.fit` calls this and solves it.
 
     A `Recording`, or a list of them, is fitted in memory unless a ``chunk`` is given; so are other data that are smaller than a chunk.
     Every pair is absorbed once. Before that the data are read through for the ranges of the channels, the number of pairs and the sample, which
@@ -47,6 +47,7 @@ def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=Non
     Parameters
     ----------
     model : KoopmanModel
+        Its parameters are read and nothing else of it.
     source : path, RecordingFile, xarray.Dataset, Recording, an iterable of these, or a callable that returns such an iterable
         A dataset is one of a file that `Recording.write` has written, opened with or without ``chunks=``, and read in slices as a file is. A
         callable, or an iterable that is no iterator, begins anew each time and has to give the same data.
@@ -68,12 +69,16 @@ def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=Non
     parts : int, optional
         Number of parts that workers take. The same number gives the same bits, whoever does the work.
     threads : int, optional
-        Of this process, that lift and multiply; the bits do not depend on it. Default: one a processor, at most eight; one in a process among others.
+        Of this process, that lift and multiply; the bits do not depend on it. Default: one per processor, at most eight; one in a process among others.
 
     Returns
     -------
-    KoopmanModel
-        ``model``, fitted.
+    Fit
+        Of all pairs but those held out.
+    Recording
+        The data, or the sample, in scaled channels.
+    Recording or None
+        Scaled windows that are held out to choose the strength by, and are to be absorbed afterwards.
 
     Raises
     ------
@@ -88,7 +93,7 @@ def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=Non
         _require_shareable(source, checkpoint, scheduler, parts)
     if chunk is None and not needed(source) and not spread:
         recording = join(source)
-        return model._begin(recording, scaling.checked(ranges, recording))._learn(recording, threads)
+        return more(Fit.begin(model, recording, checked(ranges, recording)), recording, threads)
     chunk = koopman.DEALT if chunk is None else whole_number("chunk", chunk)
     if chunk < 1:
         raise ValueError(f"chunk = {chunk}; give the number of snapshot pairs to hold in memory, 1 or more.")
@@ -98,25 +103,33 @@ def fit(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=Non
     head = _head(pieces, 1 if saved else chunk)
     if not (saved or spread) and sum(piece.pairs for piece in head) < chunk:
         whole = stream.recording(head)
-        return model._begin(whole, scaling.checked(ranges, whole))._learn(whole, threads)
+        return more(Fit.begin(model, whole, checked(ranges, whole)), whole, threads)
     if model.field == "least_squares" and model.predictor == "vector_field":
         raise ValueError("field is 'least_squares', which needs all data in memory at once; use field='coordinates', or fewer data.")
     if saved:
         survey = _Survey.restored(saved, stream, checkpoint)
     else:
         alone = stream.once or ranges is not None
-        survey = _survey(stream, head, pieces, scaling.checked(ranges, stream.template), alone, progress)
+        survey = _survey(stream, head, pieces, checked(ranges, stream.template), alone, progress)
         pieces = pieces if alone else stream.pieces()
-    model._begin(survey.sample, survey.ranges)
-    held = survey.held if model._chooses else {}
+    fit = Fit.begin(model, survey.sample, survey.ranges)
+    held = survey.held if fit.chooses else {}
     with _bar("fit", survey.pairs, progress) as bar:
         if spread:
-            distributed.absorb(model, stream, held, survey.length, chunk, scheduler, parts, bar)
+            distributed.absorb(fit, stream, held, survey.length, chunk, scheduler, parts, bar)
         else:
-            log = _Log(checkpoint, model, survey, stream, chunk, every, saved)
-            _absorb(model, _drained(head, pieces), held, survey, stream, log, bar, threads)
-    scaled = model._scaled(survey.sample)
-    return model._conclude(scaled, scaled if held else None, threads)
+            log = _Log(checkpoint, model, fit, survey, stream, chunk, every, saved)
+            _absorb(fit, _drained(head, pieces), held, survey, stream, log, bar, threads)
+    scaled = fit.channels.scaled(survey.sample)
+    return fit, scaled, scaled if held else None
+
+
+def more(fit, recording, threads=None):
+    """Absorb a recording in memory but for what is held out; returns as `absorb` does."""
+    scaled = fit.channels.scaled(recording)
+    train, held = hold_out(scaled) if fit.chooses else (scaled, None)
+    fit.absorb(train, threads)
+    return fit, scaled, held
 
 
 # ------------------------------------------------------------------------------------------------------------------ the survey
@@ -150,7 +163,7 @@ class _Survey(NamedTuple):
         held = {}
         for number, start in arrays["where"].tolist():
             held.setdefault(number, []).append(start)
-        return cls(ranges, header["total"], stream.template._with(list(arrays["states"]), list(arrays["inputs"])), held, int(arrays["length"]))
+        return cls(ranges, header["total"], stream.template.with_data(list(arrays["states"]), list(arrays["inputs"])), held, int(arrays["length"]))
 
 
 def _survey(stream, head, rest, ranges, alone, progress):
@@ -168,9 +181,9 @@ def _survey(stream, head, rest, ranges, alone, progress):
     if ranges is None:
         ranges = dict(zip((*stream.template.state_names, *stream.template.input_names), zip(low, high)))
     held = {}
-    for number, start, _ in windows.chosen.values():
+    for number, start, _ in windows.windows.values():
         held.setdefault(number, []).append(start)
-    sample = stream.recording([piece for *_, piece in windows.chosen.values()] or [any_piece])
+    sample = stream.recording([piece for *_, piece in windows.windows.values()] or [any_piece])
     return _Survey(ranges, None if alone else windows.seen, sample, held if length >= 9 else {}, windows.length)
 
 
@@ -182,7 +195,7 @@ class _Windows:
 
     def __init__(self, length, shared):
         self.length, self.shared, self.step = length, shared, 5 * length
-        self.seen, self.chosen = 0, {}  # place on the grid -> (number of the piece, first pair, piece)
+        self.seen, self.windows = 0, {}  # number on the grid -> (number of the piece, first pair, piece)
 
     def look(self, number, piece):
         free = 0  # first pair of this piece that is in no window
@@ -191,23 +204,23 @@ class _Windows:
             if start >= free:
                 free = start + self.length
                 samples = slice(start, free + self.shared)
-                self.chosen[k] = number, start, Piece(piece.x[samples].copy(), piece.u[samples].copy(), self.length)
+                self.windows[k] = number, start, Piece(piece.x[samples].copy(), piece.u[samples].copy(), self.length)
         self.seen += piece.pairs
-        while len(self.chosen) > 2 * _WINDOWS:
+        while len(self.windows) > 2 * _WINDOWS:
             self.step *= 2
-            self.chosen = {k // 2: window for k, window in self.chosen.items() if k % 2 == 0}
+            self.windows = {k // 2: window for k, window in self.windows.items() if k % 2 == 0}
 
 
 # ------------------------------------------------------------------------------------------------------------------- the pass
 
 
-def _absorb(model, pieces, held, survey, stream, log, bar, threads):
+def _absorb(fit, pieces, held, survey, stream, log, bar, threads):
     """All pieces, a chunk at a time, without the windows that are held out."""
-    group, waiting, seen = deque(), 0, 0
+    group, waiting, pairs = deque(), 0, 0
     try:
         for number, piece in enumerate(pieces):
             bar.update(piece.pairs)
-            seen += piece.pairs
+            pairs += piece.pairs
             if log.knows(number, piece):
                 continue
             group += without(piece, held.get(number, ()), survey.length, stream.shared)
@@ -215,11 +228,11 @@ def _absorb(model, pieces, held, survey, stream, log, bar, threads):
             del piece
             if waiting >= log.chunk:
                 with log.chunk_until(number):
-                    model._absorb(_scaled(model, stream, group), threads)
+                    fit.absorb(_scaled(fit, stream, group), threads)
                 waiting = 0
-        log.require_end(number + 1, seen)
+        log.require_end(number + 1, pairs)
         with log.chunk_until(number, last=True):
-            model._absorb(_scaled(model, stream, group), threads)
+            fit.absorb(_scaled(fit, stream, group), threads)
     except UnreadableError as error:
         if log.rescue():
             raise UnreadableError(f"{error} What was fitted so far is kept in {log.path}: repair, and fit again to go on.") from error
@@ -232,12 +245,13 @@ def _absorb(model, pieces, held, survey, stream, log, bar, threads):
 class _Log:
     """How far the pass is, and the checkpoint that remembers it."""
 
-    def __init__(self, path, model, survey, stream, chunk, every, saved):
-        self.path, self.model, self.survey, self.labels, self.chunk, self.every = path, model, survey, _labels(stream.template), chunk, every
+    def __init__(self, path, model, fit, survey, stream, chunk, every, saved):
+        self.path, self.model, self.fit, self.survey = path, model, fit, survey
+        self.labels, self.chunk, self.every = _labels(stream.template), chunk, every
         self.done, self.crc, self.finished, self.stored = 0, 0, False, 0
         if saved:
-            header, _, restore = saved
-            restore(model)
+            header, _, state = saved
+            fit.restore(state)
             self.done, self.crc, self.finished, self.stored = header["done"], header["crc"], header["finished"], header["done"]
         self.read, self.written = 0, time.monotonic()
 
@@ -262,14 +276,11 @@ class _Log:
     @contextlib.contextmanager
     def chunk_until(self, number, last=False):
         """Around the absorbing of a chunk that ends with a piece: counted when that is done, taken back when it fails or is interrupted."""
-        solver, hull = copy.copy(self.model._solver), copy.deepcopy(getattr(self.model, "hull_", None))
+        before = copy.copy(self.fit)
         try:
             yield
         except BaseException:
-            self.model._solver = solver
-            vars(self.model).pop("hull_", None)
-            if hull is not None:
-                self.model.hull_ = hull
+            vars(self.fit).update(vars(before))
             raise
         self.done, self.crc, changed = number + 1, self.read, last != self.finished
         self.finished = last
@@ -286,7 +297,7 @@ class _Log:
 
     def _write(self):
         header = {"labels": self.labels, "total": self.survey.pairs, "chunk": self.chunk, "done": self.done, "crc": self.crc, "finished": self.finished}
-        store.write(self.path, self.model, header, self.survey.arrays())
+        store.write(self.path, self.model, self.fit.state(), header, self.survey.arrays())
         self.written, self.stored = time.monotonic(), self.done
 
     def _other(self, reason):
@@ -295,14 +306,14 @@ class _Log:
         )
 
 
-def _scaled(model, stream, group):
+def _scaled(fit, stream, group):
     """Scaled trajectories of some pieces, which are forgotten on the way."""
     while group:
         together, pairs = [], 0
         while group and pairs < _TOGETHER:
             together.append(group.popleft())
             pairs += together[-1].pairs
-        scaled = model._scaled(stream.recording(together))
+        scaled = fit.channels.scaled(stream.recording(together))
         del together
         yield from scaled
 

@@ -47,7 +47,7 @@ def _dynamics(model):
 
 
 def _beyond(model):
-    return ["beyond the training data, plus a quarter, the model is linear and damped"] if hasattr(model, "hull_") else []
+    return ["beyond the training data, plus a quarter, the model is linear and damped"] if model.hull_ is not None else []
 
 
 def _prediction(model, recording):

@@ -91,7 +91,7 @@ def _combinations(part):
         options["dictionary"] = clone(options["dictionary"])
         model = KoopmanModel(**options)
         try:
-            model._check_options()
+            model.check_options()
         except ValueError as error:
             raise ValueError(f"grid: {error}") from None
         yield Point(model, **data)

@@ -10,7 +10,7 @@ import numpy as np
 from sklearn.base import clone
 
 from tras import formats, metrics, search
-from tras.pieces import RecordingFile, UnreadableError
+from tras.lazy import RecordingFile, UnreadableError
 from tras.recording import Recording, join, require_alike
 from tras.threads import one_blas_thread
 
@@ -176,4 +176,4 @@ def _first(recording, seconds):
             states.append(x[: left + 1])
             inputs.append(u[: left + 1])
             left -= len(states[-1]) - 1
-    return recording._with(states, inputs)
+    return recording.with_data(states, inputs)

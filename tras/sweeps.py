@@ -10,7 +10,7 @@ from tqdm import tqdm
 from tras import cache as results_cache
 from tras import executors, sweep_grid, sweep_point
 from tras.formats import checksum
-from tras.recording import Recording, require_alike, versions
+from tras.recording import Recording, versions
 from tras.sweep_grid import DICTIONARIES
 from tras.sweep_point import Data, File
 

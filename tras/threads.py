@@ -10,7 +10,7 @@ _MOST = 8  # threads of a fit; each has a panel of rows of its own
 
 
 def processors():
-    """Threads that a fit takes unless told otherwise: one a processor that this process may use; one in a process among others, which share them."""
+    """Threads that a fit takes unless told otherwise: one per processor that this process may use; one in a process among others, which share them."""
     if parent_process() is not None:
         return 1
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

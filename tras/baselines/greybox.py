@@ -70,9 +70,9 @@ class GreyBox(Baseline):
             values = self._several(start * moved)
             return np.nan_to_num((values[..., 1:, :] - values[..., :1, :]) / step).transpose(0, 1, 3, 2).reshape(-1, len(factors))
 
-        found = optimize.least_squares(left, np.ones(len(start)), slopes, loss=self.loss, f_scale=0.01, bounds=(1e-3, 1e3), max_nfev=12, xtol=1e-10, ftol=1e-10)
+        solution = optimize.least_squares(left, np.ones(len(start)), slopes, loss=self.loss, f_scale=0.01, bounds=(1e-3, 1e3), max_nfev=12, xtol=1e-10, ftol=1e-10)
         del self._x, self._u
-        self.parameters_ = dict(zip(PARAMETER_NAMES, (start * found.x).tolist()))
+        self.parameters_ = dict(zip(PARAMETER_NAMES, (start * solution.x).tolist()))
         self.n_parameters_ = len(self.parameters_)
 
     def _several(self, values):
@@ -106,6 +106,6 @@ def _balance(trajectories, dt):
     acceleration = np.concatenate([(x[2:, [1, 3]] - x[:-2, [1, 3]]) / (2 * dt) for x, _ in trajectories])
     u = np.concatenate([(u[1:-1] + u[:-2]) / 2 for _, u in trajectories])
     A = torque_balance(x, acceleration)
-    found = np.linalg.lstsq(A.reshape(-1, A.shape[-1]), u.T.ravel(), rcond=None)[0]
-    typical = np.maximum(np.abs(found), 1e-4)  # each is positive; noise may make a small one negative
-    return np.where(found > 0, found, typical)
+    estimate = np.linalg.lstsq(A.reshape(-1, A.shape[-1]), u.T.ravel(), rcond=None)[0]
+    typical = np.maximum(np.abs(estimate), 1e-4)  # each is positive; noise may make a small one negative
+    return np.where(estimate > 0, estimate, typical)

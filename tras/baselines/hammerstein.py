@@ -42,8 +42,8 @@ class HammersteinWiener(Baseline):
         a, b, c = x[some], u[some], y[some]
         self.curve_ = np.zeros((n, self.output_degree - 1))
         if self.output_degree > 1:
-            found = optimize.least_squares(lambda h: self._residual(h.reshape(n, -1), a, b, c), self.curve_.ravel(), max_nfev=30)
-            self.curve_ = found.x.reshape(n, -1)
+            solution = optimize.least_squares(lambda h: self._residual(h.reshape(n, -1), a, b, c), self.curve_.ravel(), max_nfev=30)
+            self.curve_ = solution.x.reshape(n, -1)
         self._solve(x, u, y)
         grid = np.linspace(-_REACH, _REACH, _POINTS)
         self.grid_ = grid

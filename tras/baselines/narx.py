@@ -91,8 +91,8 @@ class _Polynomial:
         R, targets = whole[:, : len(powers)], whole[:, len(powers) :]
         self.coefficients = np.zeros((len(change), len(powers)))
         for i, target in enumerate(targets.T):
-            chosen = np.arange(len(powers)) if terms is None else forward_selection(R, target, terms)
-            self.coefficients[i, chosen] = np.linalg.lstsq(R[:, chosen], target, rcond=1e-13)[0]
+            columns = np.arange(len(powers)) if terms is None else forward_selection(R, target, terms)
+            self.coefficients[i, columns] = np.linalg.lstsq(R[:, columns], target, rcond=1e-13)[0]
         used = self.coefficients.any(axis=0)
         self.coefficients, self.lift = self.coefficients[:, used], Monomial(powers[used])
         self.n_parameters = int(np.count_nonzero(self.coefficients))
@@ -103,20 +103,20 @@ class _Polynomial:
 
 def forward_selection(R, target, terms):
     """Columns of R in the order of their error reduction ratio, at most ``terms``, without those that depend on chosen ones."""
-    left, rest, chosen = R.copy(), target.copy(), []
+    left, rest, columns = R.copy(), target.copy(), []
     whole = np.sum(R**2, axis=0)
     for _ in range(min(terms, R.shape[1])):
         norms = np.sum(left**2, axis=0)
         gains = np.where(norms > 1e-12 * whole, (left.T @ rest) ** 2 / np.where(norms > 0, norms, 1), 0)
-        gains[chosen] = 0
+        gains[columns] = 0
         best = int(np.argmax(gains))
         if gains[best] <= 0:
             break
-        chosen.append(best)
+        columns.append(best)
         direction = left[:, best] / np.sqrt(norms[best])
         rest = rest - direction * (direction @ rest)
         left = left - np.outer(direction, direction @ left)
-    return np.array(chosen, dtype=int)
+    return np.array(columns, dtype=int)
 
 
 class NeuralNARX(_NARX):

@@ -1,0 +1,157 @@
+"""What a fit knows while it reads snapshot pairs: scales, fitted dictionary, the rows of the least-squares problem, the hull.
+
+A `Fit` begins with a first recording and absorbs any number of others; `tras.KoopmanModel` solves it. What it knows of the rows is a dict of
+plain arrays (`Fit.state`): a checkpoint stores it, and workers send it to be merged.
+"""
+
+import copy
+import itertools
+
+import numpy as np
+from scipy import linalg
+from sklearn.base import clone
+
+from tras import koopman
+from tras.estimator import Channels
+from tras.hull import Hull, outward_rates
+from tras.leastsquares import LeastSquares, StreamingLeastSquares
+from tras.predictors import PREDICTORS
+from tras.regularization import regularized
+from tras.threads import processors
+
+
+class Fit:
+    """The state of a fit, of size O(N^2) whatever the number of pairs.
+
+    Attributes
+    ----------
+    channels : Channels
+    dictionary : Dictionary
+        Fitted to the first recording.
+    names : list of str
+        Of its functions.
+    solver : StreamingLeastSquares
+    hull : Hull or None
+        None before the first pairs, and for models that do not need one.
+    """
+
+    @classmethod
+    def begin(cls, options, recording, ranges=None) -> "Fit":
+        """Scales and dictionary from a recording, or scales from ``ranges``; no rows yet.
+
+        Parameters
+        ----------
+        options : KoopmanModel
+            Its parameters are read and nothing else of it.
+        recording : Recording
+        ranges : dict, optional
+            Channel -> (lowest, highest).
+
+        Raises
+        ------
+        ValueError
+            If there are no snapshot pairs, or a channel is constant.
+        """
+        if recording.pairs == 0:
+            raise ValueError("no trajectory has two samples, so there are no snapshot pairs; record more.")
+        new, predictor = cls(), PREDICTORS[options.predictor]
+        new.channels = Channels.of(recording, ranges, options.delays, predictor.delays_inputs)
+        x, u = (np.concatenate(part) for part in zip(*new.channels.scaled(recording)))
+        new.lifts_inputs, new.rows = predictor.lifts_inputs, predictor.rows(options.columns)
+        new.dictionary = clone(options.dictionary).fit(x, u if new.lifts_inputs else None)
+        new.names = new.dictionary.feature_names(new.channels.z_names + new.lifts_inputs * list(new.channels.input_names))
+        new.confines = options.extrapolation == "linear" and new.lifts_inputs and new.tail > 0
+        new.chooses = options.regularization is not None and options.strength == "auto" and new.tail > 0
+        held = len(u) < 2 or np.mean((u[1:] == u[:-1]).all(axis=1)) > 0.5
+        new.shares = held or not new.lifts_inputs  # whether a pair's second lifting is mostly the next pair's first
+        new.solver, new.hull = StreamingLeastSquares(), None
+        return new
+
+    def __copy__(self):
+        """Another fit of the same rows, at no cost: arrays are replaced, never changed."""
+        new = type(self)()
+        new.__dict__.update(self.__dict__, solver=copy.copy(self.solver), hull=copy.copy(self.hull))
+        return new
+
+    @property
+    def tail(self) -> int:
+        """Number of functions behind constant, states and inputs."""
+        return len(self.names) - len(self.dictionary.coordinates) - 1 - self.lifts_inputs * len(self.channels.input_names)
+
+    def absorb(self, scaled, threads=None, most=None):
+        """All snapshot pairs of scaled trajectories, or the first ``most`` blocks of them."""
+        blocks = koopman.snapshot_pairs(scaled, koopman.block_size(self.dictionary), deal=koopman.SUIT if self.shares else 1)
+        blocks = map(self._widen_hull, itertools.islice(blocks, most))
+        lift, regressors = koopman.lifting(self.dictionary, self.rows), koopman.regressors_alone(self.dictionary, self.rows)
+        self.solver.update_lifted(blocks, lift, threads or processors(), regressors)
+
+    def _widen_hull(self, block):
+        if self.confines:
+            z = np.hstack(block[:2]).T
+            self.hull = Hull(z, self.dictionary.confined) if self.hull is None else self.hull.widen(z)
+        return block
+
+    def emptied(self) -> "Fit":
+        """The same basis and hull without rows, for parts that are merged later."""
+        new = copy.copy(self)
+        new.solver = self.solver.emptied()
+        return new
+
+    def state(self) -> dict:
+        """What is known of the rows, name -> array, for `restore` and `merge`."""
+        arrays = {f"solver.{key}": value for key, value in self.solver.state().items()} if self.solver.rows else {}
+        return arrays | {f"hull.{key}": value for key, value in (self.hull.arrays() if self.hull else {}).items()}
+
+    def restore(self, state):
+        """Take over the rows of a `state` in place of its own."""
+        self.solver, self.hull = rows_and_hull(state, self.dictionary.confined)
+
+    def merge(self, state):
+        """Add the rows of a `state` whose fit began with this one's basis."""
+        solver, hull = rows_and_hull(state, self.dictionary.confined)
+        if solver is not None:
+            self.solver.merge(solver)
+        if hull is not None:
+            self.hull.merge(hull.low, hull.high)
+
+    def solve(self, regularization, strength) -> tuple[LeastSquares, np.ndarray]:
+        """The least-squares problem of all rows so far, and its solution D = K - I.
+
+        Raises
+        ------
+        ValueError
+            If channels depend on each other, or functions do and ``strength`` is 0.
+        """
+        least_squares = self.solver.solve(self._regressor_names())
+        koopman.check_head(least_squares, self._head(least_squares))
+        if strength == 0:
+            least_squares.require_full_rank()
+            return least_squares, least_squares.coefficients
+        solution = regularized(regularization, least_squares.R, least_squares.rotated, self._head(least_squares))
+        return least_squares, solution(strength)
+
+    def outward(self, least_squares) -> np.ndarray:
+        """Slopes S (n', n' + m) in 1/s beyond the hull, from the linear model of the same rows."""
+        n, head = len(self.dictionary.coordinates), self._head(least_squares)
+        states = slice(None) if self.rows is koopman.state_rows else slice(1, 1 + n)
+        change = np.zeros((head, 1 + n))
+        change[:, 1:] = linalg.solve_triangular(least_squares.R[:head, :head], least_squares.rotated[:head, states], check_finite=False)
+        return outward_rates(change, n, self.channels.dt, len(self.channels.state_names))
+
+    def _head(self, least_squares):
+        return len(least_squares.R) - self.tail
+
+    def _regressor_names(self):
+        if self.lifts_inputs:
+            return self.names
+        head = 1 + len(self.dictionary.coordinates)
+        return [*self.names[:head], *self.channels.input_names, *self.names[head:]]
+
+
+def rows_and_hull(state, confined=None) -> tuple[StreamingLeastSquares | None, Hull | None]:
+    """Solver and hull of a `Fit.state`, None what is not in it; a damaged one raises what indexing and numpy raise."""
+    solver, hull = (
+        {key.partition(".")[2]: value for key, value in state.items() if key.startswith(f"{kind}.")} for kind in ("solver", "hull")
+    )
+    free = Hull.unconfined(len(hull.get("low", ())), confined)
+    return StreamingLeastSquares.from_state(solver) if solver else None, Hull.restored(hull, free) if hull else None

@@ -1,0 +1,139 @@
+"""Three ways to predict with a fitted Koopman matrix: integrate its vector field, step and lift anew, stay in the lifted space.
+
+Each is one object. ``lifts_inputs`` says whether the dictionary is of states and inputs, ``delays_inputs`` whether earlier inputs count as
+states beside the earlier states.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tras import generator, koopman, rollout
+from tras.dictionary import Dictionary
+from tras.hull import Hull
+from tras.stability import stable_change
+
+
+class Map(NamedTuple):
+    """``matrix psi(P z) + outward (z - P z)`` in scaled channels, P onto the hull; without a hull ``matrix psi(z)``."""
+
+    matrix: np.ndarray
+    dictionary: Dictionary
+    hull: Hull | None
+    outward: np.ndarray | None
+
+    def __call__(self, point: np.ndarray) -> np.ndarray:
+        """Values (rows, points) at (channels, points)."""
+        if self.hull is None:
+            return self.matrix @ self.dictionary.lift(point)
+        near = self.hull.nearest(point)
+        values = self.matrix @ self.dictionary.lift(near)
+        return values if near is point else values + self.outward @ (point - near)
+
+
+class _Relifting:
+    """What integrating and stepping have in common: psi(x, u) is evaluated anew at each predicted state."""
+
+    lifts_inputs = True
+
+    def settle(self, model, D, least_squares, scaled):
+        """Everything that follows from D = K - I."""
+        n = len(model.dictionary_.coordinates)
+        one = np.eye(len(model.names_))
+        model.koopman_matrix = (one if model.columns == "all" else one[:, 1 : 1 + n]) + D
+
+    def roll_out(self, model, z, u):
+        """Scaled states (samples, n', batch) from z (n', batch) under u (samples, m, batch)."""
+        n, d, step = len(model.state_names_), model.delays, self.stepper(model)
+
+        def advance(z, u):
+            later = step(z, u)
+            if d:  # what is known of the earlier samples is shifted, not predicted
+                later[n : n * (d + 1)] = z[: n * d]
+                if model.channels_.delayed_inputs:
+                    past, m = n * (d + 1), len(u)
+                    later[past : past + m], later[past + m :] = u, z[past:-m]
+            return later
+
+        return rollout.roll_out(advance, z, u)
+
+
+class VectorField(_Relifting):
+    """The paper's three steps: A = log(K) / dt (15), F = W psi, and F is integrated while the input is held.
+
+    Earlier inputs cannot be states here: they would have the eigenvalue zero, which has no logarithm.
+    """
+
+    delays_inputs = False
+
+    def rows(self, columns):
+        return koopman.rows
+
+    def settle(self, model, D, least_squares, scaled):
+        super().settle(model, D, least_squares, scaled)
+        R = least_squares.R
+        logarithm, model.log_residual_ = generator.principal_logarithm(model.koopman_matrix)
+        model.generator = logarithm / model.dt_
+        model.W_ = generator.field_by_coordinates(model.generator, model.dictionary_)
+        if model.field == "least_squares":
+            by_coordinates = model.W_
+            model.W_ = generator.field_by_least_squares(model.generator, model.dictionary_, scaled, R)
+            # R is a square root of Psi_x^T Psi_x, so |W R^T| is the root mean square of W psi over the data, up to a factor.
+            size = np.linalg.norm(by_coordinates @ R.T, axis=1)
+            model.field_disagreement_ = np.linalg.norm((model.W_ - by_coordinates) @ R.T, axis=1) / size
+        x, u = (np.concatenate(part) for part in zip(*scaled))
+        some = np.linspace(0, len(x) - 1, min(len(x), 2000)).astype(int)
+        model.substeps_ = rollout.enough_substeps(self.map(model), x[some].T, u[some].T, model.dt_)
+
+    def map(self, model):
+        """The rates of all states in 1/s."""
+        return Map(model.W_, model.dictionary_, model.hull_, model.outward_)
+
+    def stepper(self, model):
+        field = self.map(model)
+        return lambda z, u: rollout.runge_kutta(field, z, u, model.dt_, model.substeps_)
+
+
+class OneStep(_Relifting):
+    """The states' columns of K give the next state, which is lifted again. Needs no logarithm."""
+
+    delays_inputs = True
+
+    def rows(self, columns):
+        return koopman.rows if columns == "all" else koopman.state_rows
+
+    def map(self, model):
+        """All states one sample later."""
+        return Map(model.state_columns.T, model.dictionary_, model.hull_, model.outward_step_)
+
+    def stepper(self, model):
+        step = self.map(model)
+        return lambda z, u: step(np.concatenate([z, u]))
+
+
+class LiftedLinear:
+    """The states are lifted once, then ``z+ = A z + B u`` (M. Korda and I. Mezic, Automatica 93, 2018, 149)."""
+
+    lifts_inputs = False
+    delays_inputs = True
+
+    def rows(self, columns):
+        return koopman.lifted_linear_rows
+
+    def settle(self, model, D, least_squares, scaled):
+        """A, transposed, and B from the change D; the inputs' rows stand behind those of constant and states."""
+        n, m = len(model.dictionary_.coordinates), len(model.input_names_)
+        if model.stable:
+            D = stable_change(least_squares, D, n, m, radius=float(model.stable))
+        of_inputs = np.zeros(len(D), dtype=bool)
+        of_inputs[1 + n : 1 + n + m] = True
+        model.koopman_matrix = np.eye(len(model.names_)) + D[~of_inputs]
+        model.B_ = np.ascontiguousarray(D[of_inputs].T)
+
+    def roll_out(self, model, z, u):
+        """As the others', but the lifting is carried on."""
+        A, B, rows = model.koopman_matrix.T, model.B_, model.dictionary_.coordinates
+        return rollout.roll_out(lambda s, v: A @ s + B @ v, model.dictionary_.lift(z), u, lambda s: s[rows])
+
+
+PREDICTORS = {"vector_field": VectorField(), "one_step": OneStep(), "lifted_linear": LiftedLinear()}
