@@ -7,10 +7,16 @@ worker of Dask once.
 import contextlib
 import functools
 import logging
+import multiprocessing
+import pickle
 import queue
+import signal
 import sys
-from collections import deque
+import traceback
+import types
+from collections import Counter, deque
 from concurrent import futures
+from multiprocessing import connection
 from typing import NamedTuple
 
 from tras.recording import versions
@@ -20,7 +26,10 @@ _PATIENCE = 5.0  # seconds to wait for a scheduler, and for its first worker
 _LOOK = 10.0  # seconds without a result after which one looks whether there are workers still
 _LARGE = {"distributed.admin.large-graph-warning-threshold": "1 GiB"}  # recordings in memory are sent knowingly
 _IDLE = 60  # seconds after which a local process that has nothing to do ends
-_POOLS = {}  # number of processes -> pool, kept for the next call
+_IDLE_WORKERS = []  # local processes that wait for the next call
+_PACKAGE = f"{__name__.partition('.')[0]}."
+# A fork server has imported the package already; a new interpreter for each process would import it again and again.
+_START = multiprocessing.get_context("forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn")
 
 
 class SchedulerError(ValueError):
@@ -95,58 +104,100 @@ def _in_turn(done):
 
 
 def _processes(work, jobs, shared, count):
-    """(number, function that returns the result) of each job. A killed process breaks the pool, and nobody knows by which job: those that were running
-    are done one by one, each alone, so that the guilty one is found and has all memory to itself."""
-    import joblib
-    from joblib.externals.loky import BrokenProcessPool
+    """(number, function that returns the result) of each job. A job whose process was killed is done again when all others are done: alone, with all
+    memory to itself."""
+    import cloudpickle
+    from dask.system import cpu_count
 
-    count = count or joblib.cpu_count()
-    waiting, running = deque(enumerate(jobs)), {}
+    together = cloudpickle.dumps((work, shared))  # by value, where the processes could not import it: functions of a notebook
+    waiting, suspects, running, deaths = deque(range(len(jobs))), deque(), {}, Counter()
     try:
-        while waiting or running:
-            try:
-                pool = _pool(count)
-                while waiting and len(running) < count:
-                    k, job = waiting[0]
-                    running[pool.submit(work, *shared, *job)] = k
-                    waiting.popleft()
-            except BrokenProcessPool:  # killed while it had nothing to do, or a moment ago
-                pass
-            finished, _ = futures.wait(running, return_when=futures.FIRST_COMPLETED)
-            if any(isinstance(future.exception(), BrokenProcessPool) for future in finished):
-                finished, _ = futures.wait(running)
-            for future in sorted(finished, key=running.get):
-                k = running.pop(future)
-                broken = isinstance(future.exception(), BrokenProcessPool)
-                yield k, (_alone(work, (*shared, *jobs[k])) if broken else future.result)
-    except BaseException:  # also when interrupted, or when nobody asks for more
+        while waiting or suspects or running:
+            while len(running) < (count or cpu_count()) and (waiting or (suspects and not running)):
+                k = (waiting or suspects).popleft()
+                worker = _idle_worker()
+                running[worker.pipe] = k, worker
+                worker.send(together, jobs[k])
+            for pipe in connection.wait(running):
+                k, worker = running.pop(pipe)
+                try:
+                    result = worker.result()
+                except (EOFError, OSError):  # killed
+                    deaths[k] += 1
+                    if deaths[k] < _ATTEMPTS:
+                        suspects.append(k)
+                        continue
+                    result = functools.partial(Lost, f"its process was killed {_ATTEMPTS} times (out of memory?)")
+                yield k, result
+    finally:  # also when interrupted, or when nobody asks for more
         if running:
-            pool.shutdown(wait=False, kill_workers=True)
-        raise
+            for worker in (*(worker for _, worker in running.values()), *_IDLE_WORKERS):
+                worker.process.kill()
+            _IDLE_WORKERS.clear()
 
 
-def _alone(work, arguments):
-    """Function that returns the result, or `Lost`."""
-    from joblib.externals.loky import BrokenProcessPool
+class _Worker:
+    """A process that does one job after the other. It imports what they need, not the caller's script, which may want no second run."""
 
-    for _ in range(_ATTEMPTS - 1):
-        future = _pool(1).submit(work, *arguments)
-        if not isinstance(future.exception(), BrokenProcessPool):
-            return future.result
-    return lambda: Lost(f"its process was killed {_ATTEMPTS} times (out of memory?)")
+    def __init__(self):
+        self.pipe, theirs = _START.Pipe()
+        self.process, self.known = _START.Process(target=_serve, args=(theirs,), daemon=True), None
+        script, sys.modules["__main__"] = sys.modules["__main__"], types.ModuleType("__main__")
+        try:
+            self.process.start()
+        finally:
+            sys.modules["__main__"] = script
+        theirs.close()
+
+    def send(self, together, job):
+        """A job; what it has in common with others is sent once. A process that is gone is noticed when its result is asked for."""
+        import cloudpickle
+
+        message = cloudpickle.dumps((None if together is self.known else together, job))
+        self.known = together
+        with contextlib.suppress(OSError):
+            self.pipe.send_bytes(message)
+
+    def result(self):
+        """The function that returns it, or raises what the job raised; EOFError or OSError if the process was killed."""
+        result, error = pickle.loads(self.pipe.recv_bytes())
+        _IDLE_WORKERS.append(self)
+        return functools.partial(_give, result, error)
 
 
-def _pool(count):
-    """The pool of so many processes, a new one if the last was broken or ended. They import what they need when a job asks for it, not the caller's script.
+def _idle_worker():
+    """A process of an earlier job, or a new one."""
+    while _IDLE_WORKERS:
+        worker = _IDLE_WORKERS.pop()
+        if worker.process.is_alive():
+            return worker
+    _START.set_forkserver_preload(sorted(name for name in sys.modules if name.startswith(_PACKAGE)))  # imported once, for all of them
+    return _Worker()
 
-    Not the one pool that joblib shares with everybody: its own ``Parallel`` cannot go on with a pool that others made.
-    """
-    from joblib.externals.loky import ProcessPoolExecutor
 
-    pool = _POOLS.get(count)
-    if pool is None or pool._flags.broken is not None or pool._flags.shutdown:
-        pool = _POOLS[count] = ProcessPoolExecutor(max_workers=count, timeout=_IDLE)
-    return pool
+def _serve(pipe):
+    """What a local process does, until nobody has asked for a while, or the caller is gone."""
+    import cloudpickle
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the caller ends its own
+    with contextlib.suppress(EOFError, OSError):
+        while pipe.poll(_IDLE):
+            message = pipe.recv_bytes()
+            try:
+                together, job = pickle.loads(message)
+                if together is not None:
+                    work, shared = pickle.loads(together)
+                answer = cloudpickle.dumps((work(*shared, *job), None))
+            except BaseException as error:
+                error.add_note(f"in a process of its own:\n{traceback.format_exc()}")
+                answer = cloudpickle.dumps((None, error))
+            pipe.send_bytes(answer)
+
+
+def _give(result, error):
+    if error is not None:
+        raise error
+    return result
 
 
 # --------------------------------------------------------------------------------------------------------------------------- Dask

@@ -1,0 +1,142 @@
+"""Every point of a grid, once: found in a folder or computed, here or in processes, and kept as soon as it is there.
+
+A point is one computation of a study: `compute` reads those that an earlier run has kept, runs the others anywhere (`tras.executors`) and gives all values
+in order. Killed or interrupted, the same call goes on where it was. `each` does jobs of which nothing is kept.
+"""
+
+import contextlib
+import os
+import sys
+from typing import NamedTuple
+
+from tqdm import tqdm
+
+from tras import cache, executors
+
+
+class Computed(NamedTuple):
+    """Values of all points, in their order, and how many were ``computed`` or found ``cached``."""
+
+    values: list
+    computed: int
+    cached: int
+
+    @property
+    def counts(self):
+        return {"computed": self.computed, "cached": self.cached}
+
+
+def compute(
+    work, points, shared=(), *, keys=None, folder=None, kind="point", code="", cost=None, lost=None, kept=None,
+    title="compute", unit=" points", progress=None, **place,
+):  # fmt: skip
+    """The values of all points.
+
+    Parameters
+    ----------
+    work : callable
+        A function of a module; ``work(*shared, point)`` is the value of a point: anything that JSON holds (NaN becomes None).
+    points : list
+        Options of each point, or a group of them that is computed together.
+    shared : tuple or callable
+        Arguments that all points have in common. A callable gets the list of the missing points, if there are any, and returns the tuple.
+    keys : list of dict, optional
+        All that each value depends on beside the code, as JSON holds it; default ``points``.
+    folder : path, optional
+        Where values are kept, each in a file ``kind-HASH.json``; for one run of a ``kind`` at a time. Without it nothing is kept.
+    kind, code : str
+        What the values are, and the digest of the code that computes them (`tras.cache.code_digest`).
+    cost : callable, optional
+        Of a point: the dearest are begun first, so that no process is left with a long one at the end.
+    lost : callable, optional
+        From the reason to the value of a point whose every worker died; without it that is an error.
+    kept : callable, optional
+        Of a value: whether it goes into the folder; default all.
+    title, unit : str
+        What is done, a verb, and to what, for the progress bar and for the message when interrupted.
+    progress : bool or text stream, optional
+        Where a progress bar goes; False: nowhere; default: to a terminal.
+    **place
+        ``scheduler``, ``processes`` and ``alike`` of `tras.executors.run`.
+
+    Returns
+    -------
+    Computed
+
+    Raises
+    ------
+    tras.executors.SchedulerError
+        If a point is lost, or as `tras.executors.run`. What ``work`` raises is raised here. What was computed until then is kept.
+    KeyboardInterrupt
+        With a sentence that says how much is done.
+    """
+    keys = points if keys is None else keys
+    if folder is None:
+        values = [None] * len(points)
+    else:
+        cache.clear_temporaries(folder, kind)
+        paths = [cache.place(folder, kind, key, code) for key in keys]
+        values = [cache.read(path, key) for path, key in zip(paths, keys)]
+    missing = [k for k, value in enumerate(values) if value is None]
+    if cost is not None:
+        missing.sort(key=lambda k: -cost(points[k]))
+    if missing and callable(shared):
+        shared = shared([points[k] for k in missing])
+    cached = done = len(points) - len(missing)
+    try:
+        with _bar(progress, bool(missing), total=len(points), initial=done, desc=title, unit=unit) as bar:
+            for number, value in _results(work, [(points[k],) for k in missing], shared, title, lost, **place):
+                k = missing[number]
+                storable = folder is not None and (kept is None or kept(value))
+                values[k] = cache.write(paths[k], keys[k], value) if storable else cache.plain(value)
+                done += 1
+                bar.update()
+    except KeyboardInterrupt:
+        fate = f"kept in {folder}: {title} again to go on" if folder is not None else "lost: give a cache to keep them"
+        raise KeyboardInterrupt(f"interrupted; {done} of {len(points)}{unit} are done and {fate}.") from None
+    return Computed(values, len(missing), cached)
+
+
+def each(work, jobs, shared=(), *, cost=None, title=None, processes=1, progress=None):
+    """A list of ``work(*shared, *job)`` for each job, in order: in so many local processes, or in this one if that is 1.
+
+    ``cost(*job)`` and the rest as for `compute`. Without a title there is no bar.
+    """
+    jobs = list(jobs)
+    order = sorted(range(len(jobs)), key=lambda k: -cost(*jobs[k])) if cost is not None else range(len(jobs))
+    results, place = [None] * len(jobs), {"scheduler": scheduler_for(processes), "processes": processes}
+    with _bar(progress, title is not None, total=len(jobs), desc=title, leave=False) as bar:
+        for number, result in _results(work, [jobs[k] for k in order], shared, title or work.__name__, **place):
+            results[order[number]] = result
+            bar.update()
+    return results
+
+
+def scheduler_for(processes):
+    """Where so many local processes run, one of them being this one: a ``scheduler`` of `tras.executors.run`."""
+    return None if processes == 1 else "processes"
+
+
+def terminal():
+    """The terminal behind a notebook's kernel, for a progress bar that shall not enter the notebook: a context with a stream, or with None."""
+    number = getattr(sys.stderr, "_original_stdstream_copy", None)  # where ipykernel keeps it
+    if number is not None and os.isatty(number):
+        return os.fdopen(os.dup(number), "w")
+    return contextlib.nullcontext(sys.stderr if sys.stderr.isatty() else None)
+
+
+def _results(work, jobs, shared, title, lost=None, **place):
+    """(number, result) of each job, as they are done."""
+    with contextlib.closing(executors.run(work, jobs, shared, **place)) as results:
+        for number, result in results:
+            if isinstance(result, executors.Lost):
+                if lost is None:
+                    raise executors.SchedulerError(f"a job of {title!r} was lost: {result.reason}; use fewer processes.")
+                result = lost(result.reason)
+            yield number, result
+
+
+def _bar(progress, wanted, **options):
+    stream = progress if hasattr(progress, "write") else None
+    disable = True if progress is False or not wanted else None if progress is None else False
+    return tqdm(file=stream, disable=disable, **options)
