@@ -122,11 +122,11 @@ def run(study, train, validation, folder, *, processes=2, progress=None):
         smoothed = prepare(study, {"noise": study.noise, "smoothed": True}, train) if any(job["smoothed"] for job in missing) else None
         return study, train, validation, smoothed
 
-    values = compute(
+    values, _ = compute(
         _case_of, wanted, shared, keys=[{**about, **job} for job in wanted], folder=folder, kind="comparison",
         code=cache.code_digest("tras.comparison"), cost=_cost, title="compare", unit=" cases", progress=progress or False,
         scheduler=scheduler_for(processes), processes=processes,
-    ).values  # fmt: skip
+    )  # fmt: skip
     return _tables(wanted, values)
 
 

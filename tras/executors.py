@@ -26,7 +26,7 @@ _PATIENCE = 5.0  # seconds to wait for a scheduler, and for its first worker
 _LOOK = 10.0  # seconds without a result after which one looks whether there are workers still
 _LARGE = {"distributed.admin.large-graph-warning-threshold": "1 GiB"}  # recordings in memory are sent knowingly
 _IDLE = 60  # seconds after which a local process that has nothing to do ends
-_IDLE_WORKERS = []  # local processes that wait for the next call
+_WORKERS = []  # local processes that wait for the next call
 _PACKAGE = f"{__name__.partition('.')[0]}."
 # A fork server has imported the package already; a new interpreter for each process would import it again and again.
 _START = multiprocessing.get_context("forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn")
@@ -56,7 +56,7 @@ def run(work, jobs, shared=(), *, scheduler=None, processes=None, ordered=False,
         None: one job after the other in this process. "processes": local processes. An address such as "tcp://host:8786": the workers of that
         Dask scheduler.
     processes : int, optional
-        Number of local processes; default one a core.
+        Number of local processes; default one per core.
     ordered : bool
         Give the results in the order of the jobs. Until it is their turn they stay on the workers of Dask.
     alike : callable
@@ -73,6 +73,8 @@ def run(work, jobs, shared=(), *, scheduler=None, processes=None, ordered=False,
         With one sentence, if the scheduler does not answer or goes away, or a worker is not ``alike``. What ``work`` raises is raised here.
     """
     require_scheduler(scheduler)
+    if processes is not None and (isinstance(processes, bool) or not isinstance(processes, int) or processes < 1):
+        raise ValueError(f"processes is {processes!r}; give a whole number, 1 or more, or None for one per core.")
     jobs = list(jobs)
     if scheduler is None:
         done = ((k, functools.partial(work, *shared, *job)) for k, job in enumerate(jobs))
@@ -104,12 +106,14 @@ def _in_turn(done):
 
 
 def _processes(work, jobs, shared, count):
-    """(number, function that returns the result) of each job. A job whose process was killed is done again when all others are done: alone, with all
-    memory to itself."""
+    """(number, function that returns the result) of each job.
+
+    A job whose process was killed is done again when all others are done: alone, with all memory to itself.
+    """
     import cloudpickle
     from dask.system import cpu_count
 
-    together = cloudpickle.dumps((work, shared))  # by value, where the processes could not import it: functions of a notebook
+    together = cloudpickle.dumps((work, shared))  # functions of a notebook by value
     waiting, suspects, running, deaths = deque(range(len(jobs))), deque(), {}, Counter()
     try:
         while waiting or suspects or running:
@@ -121,27 +125,30 @@ def _processes(work, jobs, shared, count):
             for pipe in connection.wait(running):
                 k, worker = running.pop(pipe)
                 try:
-                    result = worker.result()
+                    result, error = pickle.loads(pipe.recv_bytes())
                 except (EOFError, OSError):  # killed
                     deaths[k] += 1
                     if deaths[k] < _ATTEMPTS:
                         suspects.append(k)
-                        continue
-                    result = functools.partial(Lost, f"its process was killed {_ATTEMPTS} times (out of memory?)")
-                yield k, result
-    finally:  # also when interrupted, or when nobody asks for more
-        if running:
-            for worker in (*(worker for _, worker in running.values()), *_IDLE_WORKERS):
+                    else:
+                        yield k, functools.partial(Lost, f"its process was killed {_ATTEMPTS} times (out of memory?)")
+                else:
+                    _WORKERS.append(worker)
+                    yield k, functools.partial(_give, result, error)
+    finally:
+        if running:  # interrupted, or nobody asks for more
+            for worker in [*_WORKERS, *(worker for _, worker in running.values())]:
                 worker.process.kill()
-            _IDLE_WORKERS.clear()
+            _WORKERS.clear()
 
 
 class _Worker:
-    """A process that does one job after the other. It imports what they need, not the caller's script, which may want no second run."""
+    """A process that does one job after the other. It imports what they need, not the caller's script, which may not be made to be imported."""
 
     def __init__(self):
         self.pipe, theirs = _START.Pipe()
-        self.process, self.known = _START.Process(target=_serve, args=(theirs,), daemon=True), None
+        self.process, self.together = _START.Process(target=_serve, args=(theirs,), daemon=True), None
+        _START.set_forkserver_preload(sorted(name for name in sys.modules if name.startswith(_PACKAGE)))
         script, sys.modules["__main__"] = sys.modules["__main__"], types.ModuleType("__main__")
         try:
             self.process.start()
@@ -150,33 +157,26 @@ class _Worker:
         theirs.close()
 
     def send(self, together, job):
-        """A job; what it has in common with others is sent once. A process that is gone is noticed when its result is asked for."""
+        """Send a job, and what it has in common with others unless the process has that already."""
         import cloudpickle
 
-        message = cloudpickle.dumps((None if together is self.known else together, job))
-        self.known = together
-        with contextlib.suppress(OSError):
+        message = cloudpickle.dumps((None if together is self.together else together, job))
+        self.together = together
+        with contextlib.suppress(OSError):  # the process is gone, which is seen when its result is read
             self.pipe.send_bytes(message)
-
-    def result(self):
-        """The function that returns it, or raises what the job raised; EOFError or OSError if the process was killed."""
-        result, error = pickle.loads(self.pipe.recv_bytes())
-        _IDLE_WORKERS.append(self)
-        return functools.partial(_give, result, error)
 
 
 def _idle_worker():
     """A process of an earlier job, or a new one."""
-    while _IDLE_WORKERS:
-        worker = _IDLE_WORKERS.pop()
+    while _WORKERS:
+        worker = _WORKERS.pop()
         if worker.process.is_alive():
             return worker
-    _START.set_forkserver_preload(sorted(name for name in sys.modules if name.startswith(_PACKAGE)))  # imported once, for all of them
     return _Worker()
 
 
 def _serve(pipe):
-    """What a local process does, until nobody has asked for a while, or the caller is gone."""
+    """What a local process does, until no job has come for a while, or the caller is gone."""
     import cloudpickle
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the caller ends its own
@@ -189,7 +189,7 @@ def _serve(pipe):
                     work, shared = pickle.loads(together)
                 answer = cloudpickle.dumps((work(*shared, *job), None))
             except BaseException as error:
-                error.add_note(f"in a process of its own:\n{traceback.format_exc()}")
+                error.add_note(f"In a local process:\n{traceback.format_exc()}")
                 answer = cloudpickle.dumps((None, error))
             pipe.send_bytes(answer)
 

@@ -113,7 +113,7 @@ def run(study, folder, *, only=None, processes=2, progress=None):
     counts : dict
         ``computed, cached``: points whose fit was computed, or found in the cache.
     """
-    folder, code, wanted, about = Path(folder), cache.code_digest("tras.grid"), points(study, only), _plain(vars(study))
+    folder, code, wanted, about = Path(folder), cache.code_digest("tras.grid"), points(study, only), cache.plain(vars(study))
     about = {name: value for name, value in about.items() if name not in ("train_seeds", "centre_draws")}  # a point names its own
     parts = (study, folder, code)
     options = {"folder": folder, "code": code, "progress": progress or False, "scheduler": scheduler_for(processes), "processes": processes}
@@ -125,16 +125,16 @@ def run(study, folder, *, only=None, processes=2, progress=None):
         each(_simulated, sorted(seeds), parts, title="simulate", processes=processes, progress=progress or False)
         return parts
 
-    fits = compute(_fitted, wanted, simulated, keys=[{**about, **point} for point in wanted], title="identify", **options)
+    values, counts = compute(_fitted, wanted, simulated, keys=[{**about, **point} for point in wanted], title="identify", **options)
     groups = {}  # of models that run freely together
-    for point, value in zip(wanted, fits.values):
+    for point, value in zip(wanted, values):
         if value["rows"]:
             groups.setdefault(tuple(point[name] for name in ("state", "dictionary", "draw")), []).append((point, value["field"]))
     keys = [{**about, "points": [_name(point) for point, _ in group]} for group in groups.values()]
-    free = compute(_run_freely, list(groups.values()), parts, keys=keys, kind="free", title="run freely", unit=" groups", **options)
-    rows = {name: rows for group in free.values for name, rows in group.items()}
-    table = [row for point, value in zip(wanted, fits.values) for row in _table_rows(study, point, value, rows.get(_name(point), []))]
-    return pd.DataFrame(table), fits.counts
+    free, _ = compute(_run_freely, list(groups.values()), parts, keys=keys, kind="free", title="run freely", unit=" groups", **options)
+    rows = {name: rows for group in free for name, rows in group.items()}
+    table = [row for point, value in zip(wanted, values) for row in _table_rows(study, point, value, rows.get(_name(point), []))]
+    return pd.DataFrame(table), counts
 
 
 # ------------------------------------------------------------------------------------------------------------ the parts
@@ -238,7 +238,7 @@ def _simulated(study, folder, code, frequency_unit, velocity_term, seed):
 def _recording(study, folder, code, point, seed):
     """`simulate`, from the cache if it is there."""
     simulation = {name: point[name] for name in SIMULATION}
-    options = {**_plain({name: getattr(study, name) for name in EXPERIMENT}), **simulation, "seed": seed}
+    options = {**cache.plain({name: getattr(study, name) for name in EXPERIMENT}), **simulation, "seed": seed}
     path = cache.place(folder, "recording", options, code, ".npz")
     arrays = cache.read_arrays(path)
     if arrays is None:
@@ -281,8 +281,3 @@ def _table_rows(study, point, value, free):
         rows = [{**dict(zip(names, label)), "nrmse": None, "windows": 0, "diverged": 0} for label in labels]
     about = {"outcome": value["outcome"], "N": value.get("N"), "condition": value.get("condition")}
     return [{**point, **row, "nrmse": math.nan if row["nrmse"] is None else row["nrmse"], **about} for row in rows]
-
-
-def _plain(options):
-    """As JSON holds them."""
-    return json.loads(json.dumps(options))

@@ -7,27 +7,14 @@ in order. Killed or interrupted, the same call goes on where it was. `each` does
 import contextlib
 import os
 import sys
-from typing import NamedTuple
 
 from tqdm import tqdm
 
 from tras import cache, executors
 
 
-class Computed(NamedTuple):
-    """Values of all points, in their order, and how many were ``computed`` or found ``cached``."""
-
-    values: list
-    computed: int
-    cached: int
-
-    @property
-    def counts(self):
-        return {"computed": self.computed, "cached": self.cached}
-
-
 def compute(
-    work, points, shared=(), *, keys=None, folder=None, kind="point", code="", cost=None, lost=None, kept=None,
+    work, points, shared=(), *, keys=None, folder=None, kind="point", code="", cost=None, keep=None, if_lost=None,
     title="compute", unit=" points", progress=None, **place,
 ):  # fmt: skip
     """The values of all points.
@@ -48,10 +35,10 @@ def compute(
         What the values are, and the digest of the code that computes them (`tras.cache.code_digest`).
     cost : callable, optional
         Of a point: the dearest are begun first, so that no process is left with a long one at the end.
-    lost : callable, optional
-        From the reason to the value of a point whose every worker died; without it that is an error.
-    kept : callable, optional
-        Of a value: whether it goes into the folder; default all.
+    keep : callable, optional
+        Of a value: whether it goes into the folder; default: every value does.
+    if_lost : callable, optional
+        Of the reason: the value of a point whose every worker died. Without it such a point is an error.
     title, unit : str
         What is done, a verb, and to what, for the progress bar and for the message when interrupted.
     progress : bool or text stream, optional
@@ -61,7 +48,10 @@ def compute(
 
     Returns
     -------
-    Computed
+    values : list
+        In the order of the points.
+    counts : dict
+        ``computed, cached``: how many points were computed now, and how many an earlier run had kept.
 
     Raises
     ------
@@ -79,22 +69,23 @@ def compute(
         values = [cache.read(path, key) for path, key in zip(paths, keys)]
     missing = [k for k, value in enumerate(values) if value is None]
     if cost is not None:
-        missing.sort(key=lambda k: -cost(points[k]))
+        missing.sort(key=lambda k: cost(points[k]), reverse=True)
     if missing and callable(shared):
         shared = shared([points[k] for k in missing])
-    cached = done = len(points) - len(missing)
+    counts = {"computed": len(missing), "cached": len(points) - len(missing)}
+    ready = counts["cached"]
     try:
-        with _bar(progress, bool(missing), total=len(points), initial=done, desc=title, unit=unit) as bar:
-            for number, value in _results(work, [(points[k],) for k in missing], shared, title, lost, **place):
+        with _bar(progress, bool(missing), total=len(points), initial=ready, desc=title, unit=unit) as bar:
+            for number, value in _results(work, [(points[k],) for k in missing], shared, title, if_lost, **place):
                 k = missing[number]
-                storable = folder is not None and (kept is None or kept(value))
+                storable = folder is not None and (keep is None or keep(value))
                 values[k] = cache.write(paths[k], keys[k], value) if storable else cache.plain(value)
-                done += 1
+                ready += 1
                 bar.update()
     except KeyboardInterrupt:
         fate = f"kept in {folder}: {title} again to go on" if folder is not None else "lost: give a cache to keep them"
-        raise KeyboardInterrupt(f"interrupted; {done} of {len(points)}{unit} are done and {fate}.") from None
-    return Computed(values, len(missing), cached)
+        raise KeyboardInterrupt(f"interrupted; {ready} of {len(points)}{unit} are done and {fate}.") from None
+    return values, counts
 
 
 def each(work, jobs, shared=(), *, cost=None, title=None, processes=1, progress=None):
@@ -103,7 +94,7 @@ def each(work, jobs, shared=(), *, cost=None, title=None, processes=1, progress=
     ``cost(*job)`` and the rest as for `compute`. Without a title there is no bar.
     """
     jobs = list(jobs)
-    order = sorted(range(len(jobs)), key=lambda k: -cost(*jobs[k])) if cost is not None else range(len(jobs))
+    order = range(len(jobs)) if cost is None else sorted(range(len(jobs)), key=lambda k: cost(*jobs[k]), reverse=True)
     results, place = [None] * len(jobs), {"scheduler": scheduler_for(processes), "processes": processes}
     with _bar(progress, title is not None, total=len(jobs), desc=title, leave=False) as bar:
         for number, result in _results(work, [jobs[k] for k in order], shared, title or work.__name__, **place):
@@ -125,14 +116,14 @@ def terminal():
     return contextlib.nullcontext(sys.stderr if sys.stderr.isatty() else None)
 
 
-def _results(work, jobs, shared, title, lost=None, **place):
+def _results(work, jobs, shared, title, if_lost=None, **place):
     """(number, result) of each job, as they are done."""
     with contextlib.closing(executors.run(work, jobs, shared, **place)) as results:
         for number, result in results:
             if isinstance(result, executors.Lost):
-                if lost is None:
+                if if_lost is None:
                     raise executors.SchedulerError(f"a job of {title!r} was lost: {result.reason}; use fewer processes.")
-                result = lost(result.reason)
+                result = if_lost(result.reason)
             yield number, result
 
 

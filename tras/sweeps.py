@@ -87,11 +87,11 @@ def sweep(
     latest = max(point.model.delays for point in points)
     keys = None if cache is None else _keys(points, data, latest)
     try:
-        values = compute(
+        values, _ = compute(
             sweep_point.evaluate, points, (data, latest), keys=keys, folder=cache, kind="fit", code=results_cache.code_digest("tras.sweep_point"),
-            lost=lambda reason: {"outcome": f"no result: {reason}"}, kept=_is_lasting, title="sweep", unit=" fits", progress=progress,
+            keep=_is_lasting, if_lost=lambda reason: {"outcome": f"no result: {reason}"}, title="sweep", unit=" fits", progress=progress,
             scheduler=scheduler, processes=processes, alike=same_code,
-        ).values  # fmt: skip
+        )  # fmt: skip
     finally:
         sweep_point.forget()
     return _table(points, values, names)
