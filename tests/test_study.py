@@ -18,7 +18,7 @@ def tenfold(calls, point):
 
 
 def place(processes=1):
-    return {"scheduler": None if processes == 1 else "processes", "processes": processes, "progress": False}
+    return {"processes": processes, "progress": False}
 
 
 def values(points):
@@ -37,7 +37,12 @@ def test_values_are_in_the_order_of_the_points_and_the_dearest_is_begun_first(pr
 def test_what_is_kept_is_not_computed_again_and_its_shared_part_is_not_made(tmp_path):
     compute(tenfold, POINTS[:2], ([],), folder=tmp_path, code="one", **place())
     calls, missing = [], []
-    result = compute(tenfold, POINTS, lambda some: (missing.extend(some), (calls,))[1], folder=tmp_path, code="one", **place())
+
+    def shared(points):
+        missing.extend(points)
+        return (calls,)
+
+    result = compute(tenfold, POINTS, shared, folder=tmp_path, code="one", **place())
     assert result == (values(POINTS), {"computed": 1, "cached": 2}) and missing == POINTS[2:] and calls == [2]
     unused = lambda _: pytest.fail("nothing is missing")  # noqa: E731
     assert compute(tenfold, POINTS, unused, folder=tmp_path, code="one", **place())[1] == {"computed": 0, "cached": 3}
@@ -59,9 +64,10 @@ def test_an_interrupted_run_says_how_much_is_done_and_goes_on(tmp_path):
             raise KeyboardInterrupt
         return tenfold([], point)
 
-    with pytest.raises(KeyboardInterrupt, match="interrupted; 2 of 3 points are done and kept in .*: fit again to go on"):
+    words = "interrupted; 2 of 3 points are done and "
+    with pytest.raises(KeyboardInterrupt, match=f"{words}kept in .*: fit again to go on"):
         compute(interrupted, POINTS, folder=tmp_path, title="fit", **place())
-    with pytest.raises(KeyboardInterrupt, match="interrupted; 2 of 3 points are done and lost: give a cache to keep them"):
+    with pytest.raises(KeyboardInterrupt, match=f"{words}lost: give a cache to keep them"):
         compute(interrupted, POINTS, **place())
     assert compute(tenfold, POINTS, ([],), folder=tmp_path, **place())[1] == {"computed": 1, "cached": 2}
 
@@ -72,7 +78,8 @@ def test_a_point_that_is_lost_is_an_error_or_a_value_that_is_not_kept(tmp_path):
             os._exit(1)
         return tenfold([], point)
 
-    with pytest.raises(executors.SchedulerError, match="a job of 'fit' was lost: its process was killed 3 times .*; use fewer processes"):
+    words = "a job of 'fit' was lost: its process was killed 3 times .*; use fewer processes"
+    with pytest.raises(executors.SchedulerError, match=words):
         compute(killing, POINTS, title="fit", **place(2))
     substitute = {"if_lost": lambda reason: {"lost": reason}, "keep": lambda value: "lost" not in value}
     result, counts = compute(killing, POINTS, folder=tmp_path, **substitute, **place(2))

@@ -30,7 +30,7 @@ from tras.radial import GaussianRBF
 from tras.recording import Recording
 from tras.search import choose
 from tras.smoothing import smooth
-from tras.study import compute, scheduler_for
+from tras.study import compute
 from tras.validation import ANGLES
 
 CHANNELS = {"reference": REFERENCE_NAMES, "torque": TORQUE_NAMES}
@@ -119,13 +119,14 @@ def run(study, train, validation, folder, *, processes=2, progress=None):
     about = {"study": _plain(study), "libraries": _versions(), "data": _digest(train, validation)}
 
     def shared(missing):
-        smoothed = prepare(study, {"noise": study.noise, "smoothed": True}, train) if any(job["smoothed"] for job in missing) else None
+        needed = any(job["smoothed"] for job in missing)
+        smoothed = prepare(study, {"noise": study.noise, "smoothed": True}, train) if needed else None
         return study, train, validation, smoothed
 
     values, _ = compute(
         _case_of, wanted, shared, keys=[{**about, **job} for job in wanted], folder=folder, kind="comparison",
-        code=cache.code_digest("tras.comparison"), cost=_cost, title="compare", unit=" cases", progress=progress or False,
-        scheduler=scheduler_for(processes), processes=processes,
+        code=cache.code_digest("tras.comparison"), cost=_cost, title="compare", unit=" cases",
+        progress=progress or False, processes=processes,
     )  # fmt: skip
     return _tables(wanted, values)
 

@@ -2,6 +2,10 @@
 
 A job whose worker is killed is given to another one; one that kills every worker is `Lost`, and the others go on. What all jobs share travels to a
 worker of Dask once.
+
+Local processes are the standard library's, not a pool of joblib or of `concurrent.futures`: such a pool breaks as a
+whole when one process is killed, and does not say which job it had. Functions travel by cloudpickle, so a notebook may
+hold them.
 """
 
 import contextlib
@@ -26,10 +30,11 @@ _PATIENCE = 5.0  # seconds to wait for a scheduler, and for its first worker
 _LOOK = 10.0  # seconds without a result after which one looks whether there are workers still
 _LARGE = {"distributed.admin.large-graph-warning-threshold": "1 GiB"}  # recordings in memory are sent knowingly
 _IDLE = 60  # seconds after which a local process that has nothing to do ends
-_WORKERS = []  # local processes that wait for the next call
+_PROCESSES = []  # local processes that wait for the next call, with the pipes to them
 _PACKAGE = f"{__name__.partition('.')[0]}."
 # A fork server has imported the package already; a new interpreter for each process would import it again and again.
-_START = multiprocessing.get_context("forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn")
+_METHODS = multiprocessing.get_all_start_methods()
+_START = multiprocessing.get_context("forkserver" if "forkserver" in _METHODS else "spawn")
 
 
 class SchedulerError(ValueError):
@@ -108,7 +113,7 @@ def _in_turn(done):
 def _processes(work, jobs, shared, count):
     """(number, function that returns the result) of each job.
 
-    A job whose process was killed is done again when all others are done: alone, with all memory to itself.
+    A job whose process was killed is done again after all others: alone, with all memory to itself.
     """
     import cloudpickle
     from dask.system import cpu_count
@@ -119,11 +124,12 @@ def _processes(work, jobs, shared, count):
         while waiting or suspects or running:
             while len(running) < (count or cpu_count()) and (waiting or (suspects and not running)):
                 k = (waiting or suspects).popleft()
-                worker = _idle_worker()
-                running[worker.pipe] = k, worker
-                worker.send(together, jobs[k])
+                process, pipe = _idle_process()
+                running[pipe] = k, process
+                with contextlib.suppress(OSError):  # the process is gone, which is seen when its answer is read
+                    pipe.send((together, cloudpickle.dumps(jobs[k])))
             for pipe in connection.wait(running):
-                k, worker = running.pop(pipe)
+                k, process = running.pop(pipe)
                 try:
                     result, error = pickle.loads(pipe.recv_bytes())
                 except (EOFError, OSError):  # killed
@@ -133,46 +139,41 @@ def _processes(work, jobs, shared, count):
                     else:
                         yield k, functools.partial(Lost, f"its process was killed {_ATTEMPTS} times (out of memory?)")
                 else:
-                    _WORKERS.append(worker)
+                    _PROCESSES.append((process, pipe))
                     yield k, functools.partial(_give, result, error)
     finally:
         if running:  # interrupted, or nobody asks for more
-            for worker in [*_WORKERS, *(worker for _, worker in running.values())]:
-                worker.process.kill()
-            _WORKERS.clear()
+            for _, process in running.values():
+                process.kill()
+            while _PROCESSES:
+                _PROCESSES.pop()[0].kill()
 
 
-class _Worker:
-    """A process that does one job after the other. It imports what they need, not the caller's script, which may not be made to be imported."""
-
-    def __init__(self):
-        self.pipe, theirs = _START.Pipe()
-        self.process, self.together = _START.Process(target=_serve, args=(theirs,), daemon=True), None
-        _START.set_forkserver_preload(sorted(name for name in sys.modules if name.startswith(_PACKAGE)))
-        script, sys.modules["__main__"] = sys.modules["__main__"], types.ModuleType("__main__")
-        try:
-            self.process.start()
-        finally:
-            sys.modules["__main__"] = script
-        theirs.close()
-
-    def send(self, together, job):
-        """Send a job, and what it has in common with others unless the process has that already."""
-        import cloudpickle
-
-        message = cloudpickle.dumps((None if together is self.together else together, job))
-        self.together = together
-        with contextlib.suppress(OSError):  # the process is gone, which is seen when its result is read
-            self.pipe.send_bytes(message)
+def _give(result, error):
+    if error is not None:
+        raise error
+    return result
 
 
-def _idle_worker():
-    """A process of an earlier job, or a new one."""
-    while _WORKERS:
-        worker = _WORKERS.pop()
-        if worker.process.is_alive():
-            return worker
-    return _Worker()
+def _idle_process():
+    """A process and the pipe to it, of an earlier job or new.
+
+    A process imports what its jobs need, not the caller's script, which may have no guard against being imported.
+    """
+    while _PROCESSES:
+        process, pipe = _PROCESSES.pop()
+        if process.is_alive():
+            return process, pipe
+    pipe, theirs = _START.Pipe()
+    process = _START.Process(target=_serve, args=(theirs,), daemon=True)
+    _START.set_forkserver_preload(sorted(name for name in sys.modules if name.startswith(_PACKAGE)))
+    script, sys.modules["__main__"] = sys.modules["__main__"], types.ModuleType("__main__")
+    try:
+        process.start()
+    finally:
+        sys.modules["__main__"] = script
+    theirs.close()
+    return process, pipe
 
 
 def _serve(pipe):
@@ -182,22 +183,14 @@ def _serve(pipe):
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the caller ends its own
     with contextlib.suppress(EOFError, OSError):
         while pipe.poll(_IDLE):
-            message = pipe.recv_bytes()
+            message = pipe.recv()
             try:
-                together, job = pickle.loads(message)
-                if together is not None:
-                    work, shared = pickle.loads(together)
+                (work, shared), job = map(pickle.loads, message)
                 answer = cloudpickle.dumps((work(*shared, *job), None))
             except BaseException as error:
                 error.add_note(f"In a local process:\n{traceback.format_exc()}")
                 answer = cloudpickle.dumps((None, error))
             pipe.send_bytes(answer)
-
-
-def _give(result, error):
-    if error is not None:
-        raise error
-    return result
 
 
 # --------------------------------------------------------------------------------------------------------------------------- Dask

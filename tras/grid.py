@@ -26,7 +26,7 @@ from tras.model import KoopmanModel
 from tras.plant import STATE_NAMES, TORQUE_NAMES, PlantParameters, PrintedPlant
 from tras.radial import GaussianRBF
 from tras.recording import Recording, join
-from tras.study import compute, each, scheduler_for
+from tras.study import compute, each
 
 MODEL = {"field": "least_squares", "regularization": None, "extrapolation": "functions"}  # as the paper does
 CHANNELS = {"reference": REFERENCE_NAMES, "torque": TORQUE_NAMES}
@@ -37,7 +37,7 @@ RANGES = {"validation_set": "all", "trajectory": "trajectory"}
 DRAWN = ("gaussian", "gaussian28")  # dictionaries with random centres
 SIMULATION = ("frequency_unit", "velocity_term")
 FIT = (*SIMULATION, "input", "state", "dictionary")
-EXPERIMENT = ("duration", "sampling_time", "max_frequency", "peak", "max_correlation")  # fields of a study that its recordings depend on
+EXPERIMENT = ("duration", "sampling_time", "max_frequency", "peak", "max_correlation")  # what recordings depend on
 
 
 @dataclass(frozen=True)
@@ -107,34 +107,39 @@ def run(study, folder, *, only=None, processes=2, progress=None):
     Returns
     -------
     pandas.DataFrame
-        One row a point, validation seed, horizon, range and angle: the options of the reading (without ``angle_names``), ``train_seed, draw,
-        validation_seed, angle, nrmse`` (percent; NaN without a model or if all windows diverged), ``windows, diverged``, ``outcome`` ("model" or
-        why there is none), ``N, condition``.
+        One row per point, validation seed, horizon, range and angle: the options of the reading (without
+        ``angle_names``), ``train_seed, draw, validation_seed, angle, nrmse`` (percent; NaN without a model or if all
+        windows diverged), ``windows, diverged``, ``outcome`` ("model" or why there is none), ``N, condition``.
     counts : dict
         ``computed, cached``: points whose fit was computed, or found in the cache.
     """
-    folder, code, wanted, about = Path(folder), cache.code_digest("tras.grid"), points(study, only), cache.plain(vars(study))
-    about = {name: value for name, value in about.items() if name not in ("train_seeds", "centre_draws")}  # a point names its own
-    parts = (study, folder, code)
-    options = {"folder": folder, "code": code, "progress": progress or False, "scheduler": scheduler_for(processes), "processes": processes}
+    folder, code, wanted = Path(folder), cache.code_digest("tras.grid"), points(study, only)
+    names = [name for name in vars(study) if name not in ("train_seeds", "centre_draws")]  # a point has its own
+    about = cache.plain({name: getattr(study, name) for name in names})
+    parts, place = (study, folder, code), {"progress": progress or False, "processes": processes}
+    options = {"folder": folder, "code": code, **place}
 
     def simulated(missing):
-        """Recordings first, so that each is simulated once."""
-        seeds = {(*(point[name] for name in SIMULATION), seed) for point in missing for seed in (point["train_seed"], *study.validation_seeds)}
+        """Have all recordings in the cache first, so that each is simulated once."""
+        seeds = [(point, seed) for point in missing for seed in (point["train_seed"], *study.validation_seeds)]
+        jobs = {(*(point[name] for name in SIMULATION), seed) for point, seed in seeds}
         cache.clear_temporaries(folder, "recording")
-        each(_simulated, sorted(seeds), parts, title="simulate", processes=processes, progress=progress or False)
+        each(_simulated, sorted(jobs), parts, title="simulate", **place)
         return parts
 
-    values, counts = compute(_fitted, wanted, simulated, keys=[{**about, **point} for point in wanted], title="identify", **options)
+    keys = [{**about, **point} for point in wanted]
+    values, counts = compute(_fitted, wanted, simulated, keys=keys, title="identify", **options)
     groups = {}  # of models that run freely together
     for point, value in zip(wanted, values):
         if value["rows"]:
-            groups.setdefault(tuple(point[name] for name in ("state", "dictionary", "draw")), []).append((point, value["field"]))
-    keys = [{**about, "points": [_name(point) for point, _ in group]} for group in groups.values()]
-    free, _ = compute(_run_freely, list(groups.values()), parts, keys=keys, kind="free", title="run freely", unit=" groups", **options)
+            label = tuple(point[name] for name in ("state", "dictionary", "draw"))
+            groups.setdefault(label, []).append((point, value["field"]))
+    groups, names = list(groups.values()), {"title": "run freely", "unit": " groups", "kind": "free"}
+    keys = [{**about, "points": [_name(point) for point, _ in group]} for group in groups]
+    free, _ = compute(_run_freely, groups, parts, keys=keys, **names, **options)
     rows = {name: rows for group in free for name, rows in group.items()}
-    table = [row for point, value in zip(wanted, values) for row in _table_rows(study, point, value, rows.get(_name(point), []))]
-    return pd.DataFrame(table), counts
+    parts = [_table_rows(study, point, value, rows.get(_name(point), [])) for point, value in zip(wanted, values)]
+    return pd.DataFrame([row for part in parts for row in part]), counts
 
 
 # ------------------------------------------------------------------------------------------------------------ the parts
@@ -227,7 +232,7 @@ def judge_free_runs(point, fields, truths):
     return rows
 
 
-# ------------------------------------------------------------------------------------------------------- what a process does of a run
+# ------------------------------------------------------------------------------------- what a process does of a run
 
 
 def _simulated(study, folder, code, frequency_unit, velocity_term, seed):
@@ -259,11 +264,12 @@ def _fitted(study, folder, code, point):
     if not model:
         return {"outcome": outcome, "rows": []}
     rows = judge_windows(study, model, _validation(study, folder, code, point))
-    return {"outcome": outcome, "rows": rows, "N": len(model.names_), "condition": model.condition_number, "field": stacked.field_of(model)}
+    about = {"N": len(model.names_), "condition": model.condition_number, "field": stacked.field_of(model)}
+    return {"outcome": outcome, "rows": rows, **about}
 
 
 def _run_freely(study, folder, code, group):
-    """Free runs of the models of one dictionary, draw and state, on all validation recordings: name of a point -> rows."""
+    """Free runs of the models of one dictionary, draw and state on all validation recordings: name of a point -> rows."""
     some, fields = zip(*group)
     rows = judge_free_runs(some[0], fields, [_validation(study, folder, code, point) for point in some])
     return {_name(point): own for point, own in zip(some, rows)}

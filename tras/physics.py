@@ -117,7 +117,8 @@ def parameter_intervals(model, recording, draws=50, level=0.95, seed=0, pipeline
     identify = pipeline or (lambda drawn: clone(model).fit(drawn))
     value = _estimate(model, points)
     drawn = np.random.default_rng(seed).integers(count, size=(draws, count)).tolist()
-    estimates = np.array(each(_draw, enumerate(drawn), (identify, recording, points), title="bootstrap", processes=processes))
+    shared = identify, recording, points
+    estimates = np.array(each(_draw, enumerate(drawn), shared, title="bootstrap", processes=processes))
     low, high = np.quantile(estimates, [(1 - level) / 2, (1 + level) / 2], axis=0)
     columns = {"value": value, "low": low, "high": high, "standard_error": estimates.std(axis=0, ddof=1)}
     return pd.DataFrame(columns, index=list(PARAMETER_NAMES))

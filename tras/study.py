@@ -1,7 +1,8 @@
 """Every point of a grid, once: found in a folder or computed, here or in processes, and kept as soon as it is there.
 
-A point is one computation of a study: `compute` reads those that an earlier run has kept, runs the others anywhere (`tras.executors`) and gives all values
-in order. Killed or interrupted, the same call goes on where it was. `each` does jobs of which nothing is kept.
+A point is one computation of a study. `compute` reads those that an earlier run has kept, runs the others anywhere
+(`tras.executors`) and returns all values in order. Killed or interrupted, the same call goes on where it was. `each`
+does jobs of which nothing is kept.
 """
 
 import contextlib
@@ -15,22 +16,25 @@ from tras import cache, executors
 
 def compute(
     work, points, shared=(), *, keys=None, folder=None, kind="point", code="", cost=None, keep=None, if_lost=None,
-    title="compute", unit=" points", progress=None, **place,
+    title="compute", unit=" points", progress=None, processes=None, **place,
 ):  # fmt: skip
     """The values of all points.
 
     Parameters
     ----------
     work : callable
-        A function of a module; ``work(*shared, point)`` is the value of a point: anything that JSON holds (NaN becomes None).
+        A function of a module; ``work(*shared, point)`` is the value of a point: anything that JSON holds, and NaN,
+        which becomes None.
     points : list
         Options of each point, or a group of them that is computed together.
     shared : tuple or callable
-        Arguments that all points have in common. A callable gets the list of the missing points, if there are any, and returns the tuple.
+        Arguments that all points have in common. A callable gets the list of the missing points, if there are any, and
+        returns the tuple.
     keys : list of dict, optional
         All that each value depends on beside the code, as JSON holds it; default ``points``.
     folder : path, optional
-        Where values are kept, each in a file ``kind-HASH.json``; for one run of a ``kind`` at a time. Without it nothing is kept.
+        Where values are kept, each in a file ``kind-HASH.json``; for one run of a ``kind`` at a time. Without it
+        nothing is kept.
     kind, code : str
         What the values are, and the digest of the code that computes them (`tras.cache.code_digest`).
     cost : callable, optional
@@ -43,8 +47,10 @@ def compute(
         What is done, a verb, and to what, for the progress bar and for the message when interrupted.
     progress : bool or text stream, optional
         Where a progress bar goes; False: nowhere; default: to a terminal.
+    processes : int, optional
+        Number of local processes, 1 being this process; default one per core.
     **place
-        ``scheduler``, ``processes`` and ``alike`` of `tras.executors.run`.
+        In place of local processes: ``scheduler`` and ``alike`` of `tras.executors.run`.
 
     Returns
     -------
@@ -56,7 +62,8 @@ def compute(
     Raises
     ------
     tras.executors.SchedulerError
-        If a point is lost, or as `tras.executors.run`. What ``work`` raises is raised here. What was computed until then is kept.
+        If a point is lost, or as `tras.executors.run`. What ``work`` raises is raised here. What was computed until
+        then is kept.
     KeyboardInterrupt
         With a sentence that says how much is done.
     """
@@ -76,7 +83,8 @@ def compute(
     ready = counts["cached"]
     try:
         with _bar(progress, bool(missing), total=len(points), initial=ready, desc=title, unit=unit) as bar:
-            for number, value in _results(work, [(points[k],) for k in missing], shared, title, if_lost, **place):
+            jobs = [(points[k],) for k in missing]
+            for number, value in _results(work, jobs, shared, title, processes, if_lost, **place):
                 k = missing[number]
                 storable = folder is not None and (keep is None or keep(value))
                 values[k] = cache.write(paths[k], keys[k], value) if storable else cache.plain(value)
@@ -89,40 +97,38 @@ def compute(
 
 
 def each(work, jobs, shared=(), *, cost=None, title=None, processes=1, progress=None):
-    """A list of ``work(*shared, *job)`` for each job, in order: in so many local processes, or in this one if that is 1.
+    """``work(*shared, *job)`` for each job: a list, in order. Nothing is kept in a folder.
 
     ``cost(*job)`` and the rest as for `compute`. Without a title there is no bar.
     """
     jobs = list(jobs)
-    order = range(len(jobs)) if cost is None else sorted(range(len(jobs)), key=lambda k: cost(*jobs[k]), reverse=True)
-    results, place = [None] * len(jobs), {"scheduler": scheduler_for(processes), "processes": processes}
+    results, order = [None] * len(jobs), list(range(len(jobs)))
+    if cost is not None:
+        order.sort(key=lambda k: cost(*jobs[k]), reverse=True)
     with _bar(progress, title is not None, total=len(jobs), desc=title, leave=False) as bar:
-        for number, result in _results(work, [jobs[k] for k in order], shared, title or work.__name__, **place):
+        for number, result in _results(work, [jobs[k] for k in order], shared, title or work.__name__, processes):
             results[order[number]] = result
             bar.update()
     return results
 
 
-def scheduler_for(processes):
-    """Where so many local processes run, one of them being this one: a ``scheduler`` of `tras.executors.run`."""
-    return None if processes == 1 else "processes"
-
-
 def terminal():
-    """The terminal behind a notebook's kernel, for a progress bar that shall not enter the notebook: a context with a stream, or with None."""
+    """A context with the terminal behind a notebook's kernel, for a bar outside the notebook, or with None."""
     number = getattr(sys.stderr, "_original_stdstream_copy", None)  # where ipykernel keeps it
     if number is not None and os.isatty(number):
         return os.fdopen(os.dup(number), "w")
     return contextlib.nullcontext(sys.stderr if sys.stderr.isatty() else None)
 
 
-def _results(work, jobs, shared, title, if_lost=None, **place):
+def _results(work, jobs, shared, title, processes, if_lost=None, **place):
     """(number, result) of each job, as they are done."""
-    with contextlib.closing(executors.run(work, jobs, shared, **place)) as results:
+    place = {"scheduler": None if processes == 1 else "processes"} | place
+    with contextlib.closing(executors.run(work, jobs, shared, processes=processes, **place)) as results:
         for number, result in results:
             if isinstance(result, executors.Lost):
                 if if_lost is None:
-                    raise executors.SchedulerError(f"a job of {title!r} was lost: {result.reason}; use fewer processes.")
+                    reason = f"a job of {title!r} was lost: {result.reason}; use fewer processes."
+                    raise executors.SchedulerError(reason)
                 result = if_lost(result.reason)
             yield number, result
 

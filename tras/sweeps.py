@@ -88,8 +88,9 @@ def sweep(
     keys = None if cache is None else _keys(points, data, latest)
     try:
         values, _ = compute(
-            sweep_point.evaluate, points, (data, latest), keys=keys, folder=cache, kind="fit", code=results_cache.code_digest("tras.sweep_point"),
-            keep=_is_lasting, if_lost=lambda reason: {"outcome": f"no result: {reason}"}, title="sweep", unit=" fits", progress=progress,
+            sweep_point.evaluate, points, (data, latest), keys=keys, folder=cache, kind="fit",
+            code=results_cache.code_digest("tras.sweep_point"), keep=_is_lasting,
+            if_lost=lambda reason: {"outcome": f"no result: {reason}"}, title="sweep", unit=" fits", progress=progress,
             scheduler=scheduler, processes=processes, alike=same_code,
         )  # fmt: skip
     finally:
