@@ -6,6 +6,8 @@ The jobs import nothing of the package, so that the processes start quickly.
 import os
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 
@@ -195,3 +197,30 @@ def test_the_pool_that_joblib_shares_is_left_alone():
     for _ in range(2):
         assert dict(executors.run(pow, [(2, 3), (3, 2)], scheduler="processes", processes=2)) == {0: 8, 1: 9}
         assert Parallel(n_jobs=2)(delayed(pow)(k, 2) for k in (1, 2, 3)) == [1, 4, 9]
+
+
+def test_a_script_needs_no_guard_and_its_functions_travel_by_value(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from tras import executors\n"
+        "print('once')\n"
+        "def half(k): return k / 2\n"
+        "print(list(executors.run(half, [(1,), (3,)], scheduler='processes', processes=2, ordered=True)))\n"
+    )
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    run = subprocess.run([sys.executable, script], capture_output=True, text=True, env=environment, timeout=120)
+    assert run.stdout.splitlines() == ["once", "[(0, 0.5), (1, 1.5)]"] and not run.stderr
+
+
+def test_processes_serve_the_next_run():
+    def pids(count):
+        return {pid for _, pid in executors.run(os.getpid, [()] * 8, scheduler="processes", processes=count)}
+
+    first = pids(1)
+    assert pids(1) == first and os.getpid() not in first
+
+
+@pytest.mark.parametrize("processes", [0, -1, 1.5, True])
+def test_a_number_of_processes_that_is_none_is_refused(processes):
+    with pytest.raises(ValueError, match="processes is .*; give a whole number, 1 or more, or None for one per core"):
+        list(executors.run(square(), JOBS, scheduler="processes", processes=processes))

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 import tras
-from tras import cache, grid, grid_run, readings, stacked, validation
+from tras import cache, grid, readings, stacked, validation
 
 SMALL = grid.Study(
     duration=30.0, trajectory=2.0, window=4.0, max_frequency=(0.6, 1.5), train_seeds=(1,), validation_seeds=(2, 3), centre_draws=(0, 1)
@@ -20,7 +20,7 @@ PART = {
 
 
 def run(folder, only=PART, study=SMALL):
-    return grid_run.run(study, folder, only=only, processes=1)
+    return grid.run(study, folder, only=only, processes=1)
 
 
 @pytest.fixture(scope="module")

@@ -7,13 +7,13 @@ the cube of half-width 20, a dictionary of degree 3. Its error measure and its n
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed
 from scipy.integrate import solve_ivp
 
 from tras.dictionary import Monomials
 from tras.model import KoopmanModel
 from tras.recording import Recording
 from tras.refinement import refine
+from tras.study import each
 
 SLOW, FAST = -0.05, -1.0
 
@@ -78,7 +78,7 @@ def benchmark_study(trajectories, samples, noises, seeds, *, processes=1):
     """
     cases = [(name, noise) for name in SYSTEMS for noise in noises]
     runs = [(*case, seed) for case in cases for seed in seeds]
-    errors = Parallel(n_jobs=processes)(delayed(_errors)(name, system_recording(name, trajectories, samples, *rest)) for name, *rest in runs)
+    errors = each(_errors, [(name, trajectories, samples, *rest) for name, *rest in runs], processes=processes)
     rows = []
     for (name, noise), of_seeds in zip(cases, np.reshape(errors, (len(cases), len(seeds), 3))):
         _, n, degree, _, dt = SYSTEMS[name]
@@ -91,8 +91,9 @@ def benchmark_study(trajectories, samples, noises, seeds, *, processes=1):
     return pd.DataFrame(rows)
 
 
-def _errors(name, recording):
+def _errors(name, *simulation):
     """Coefficients' error by lifting and refined, and the eigenvalues'."""
+    recording = system_recording(name, *simulation)
     model = KoopmanModel(Monomials(SYSTEMS[name][2]), regularization=None, extrapolation="functions").fit(recording)
     by_coefficients = [coefficient_error(m.vector_field, name) for m in (model, refine(model, recording, segment=recording.lengths[0]))]
     return [*by_coefficients, _eigenvalue_error(model) if name == "slow manifold" else np.nan]

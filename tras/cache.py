@@ -37,9 +37,9 @@ def place(folder, kind, options, code, suffix=".json"):
     return Path(folder) / f"{kind}-{digest(json.dumps([options, code], sort_keys=True))}{suffix}"
 
 
-def clear_temporaries(folder):
-    """Remove what a killed run was writing; only while nobody else works in the folder."""
-    for path in Path(folder).glob(".*"):
+def clear_temporaries(folder, kind):
+    """Remove what a killed run was writing; only while nobody else writes results of this kind."""
+    for path in Path(folder).glob(f".{kind}-*"):
         path.unlink(missing_ok=True)
 
 

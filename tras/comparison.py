@@ -11,8 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed
-from tqdm import tqdm
 
 from tras import cache, metrics
 from tras.baselines.edmd import PykoopEdmd
@@ -32,6 +30,7 @@ from tras.radial import GaussianRBF
 from tras.recording import Recording
 from tras.search import choose
 from tras.smoothing import smooth
+from tras.study import compute
 from tras.validation import ANGLES
 
 CHANNELS = {"reference": REFERENCE_NAMES, "torque": TORQUE_NAMES}
@@ -117,18 +116,19 @@ def run(study, train, validation, folder, *, processes=2, progress=None):
         ``times``: CPU seconds of tuning, of the last fit and of its predictions; they are no two times the same.
     """
     wanted = jobs(study)
-    code = cache.code_digest("tras.comparison")
     about = {"study": _plain(study), "libraries": _versions(), "data": _digest(train, validation)}
-    places = [(cache.place(folder, "comparison", options := {**about, **job}, code), options) for job in wanted]
-    found = [cache.read(*place) for place in places]
-    missing = sorted((i for i, value in enumerate(found) if value is None), key=lambda i: -_cost(wanted[i]))
-    smoothed = prepare(study, {"noise": study.noise, "smoothed": True}, train) if any(wanted[i]["smoothed"] for i in missing) else None
-    with tqdm(total=len(missing), desc="compare", file=progress, disable=progress is None) as bar:
-        work = (delayed(_store)(places[i], study, wanted[i], train, validation, smoothed if wanted[i]["smoothed"] else None) for i in missing)
-        for _ in Parallel(n_jobs=processes, return_as="generator_unordered")(work):
-            bar.update()
-    found = [cache.read(*place) if value is None else value for place, value in zip(places, found)]
-    return _tables(wanted, found)
+
+    def shared(missing):
+        needed = any(job["smoothed"] for job in missing)
+        smoothed = prepare(study, {"noise": study.noise, "smoothed": True}, train) if needed else None
+        return study, train, validation, smoothed
+
+    values, _ = compute(
+        _case_of, wanted, shared, keys=[{**about, **job} for job in wanted], folder=folder, kind="comparison",
+        code=cache.code_digest("tras.comparison"), cost=_cost, title="compare", unit=" cases",
+        progress=progress or False, processes=processes,
+    )  # fmt: skip
+    return _tables(wanted, values)
 
 
 def case(study, job, train, validation, prepared=None):
@@ -223,8 +223,8 @@ def n_parameters(model):
 # ------------------------------------------------------------------------------------------------------------------------- parts
 
 
-def _store(place, study, job, train, validation, prepared):
-    cache.write(*place, case(study, job, train, validation, prepared))
+def _case_of(study, train, validation, smoothed, job):
+    return case(study, job, train, validation, smoothed if job["smoothed"] else None)
 
 
 def _is_main(job):

@@ -39,7 +39,7 @@ def pairs_of_angles(table):
     Parameters
     ----------
     table : pandas.DataFrame
-        From `tras.grid_run.run`.
+        From `tras.grid.run`.
 
     Returns
     -------
@@ -136,7 +136,7 @@ def effects(table, default):
     Parameters
     ----------
     table : pandas.DataFrame
-        From `tras.grid_run.run`.
+        From `tras.grid.run`.
     default : tras.readings.Readings
 
     Returns

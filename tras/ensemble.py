@@ -4,12 +4,11 @@ Trajectories are what is drawn, because samples that follow each other are not i
 """
 
 import numpy as np
-from joblib import Parallel, delayed
 from sklearn.base import clone
-from tqdm import tqdm
 
 from tras import metrics
 from tras.recording import join
+from tras.study import each
 
 
 def bootstrap(model, recording, draws=100, rng=0, *, processes=1):
@@ -61,8 +60,7 @@ def bootstrap(model, recording, draws=100, rng=0, *, processes=1):
         raise ValueError(f"rng is {rng!r}; give a numpy.random.Generator or a seed, so that the ensemble can be had again.")
     chosen = np.random.default_rng(rng).integers(len(recording), size=(draws, len(recording)))
     again = clone(model).set_params(strength=float(model.strength_))
-    jobs = Parallel(n_jobs=processes, return_as="generator")(delayed(_member)(again, recording, index, k) for k, index in enumerate(chosen))
-    return list(tqdm(jobs, total=draws, desc="bootstrap", leave=False, disable=None))
+    return each(_member, enumerate(chosen), (again, recording), title="bootstrap", processes=processes)
 
 
 def prediction_band(ensemble, recording, level=0.9):
@@ -109,7 +107,7 @@ def prediction_band(ensemble, recording, level=0.9):
     return tuple(np.stack(part) if alike else list(part) for part in parts)
 
 
-def _member(model, recording, index, number):
+def _member(model, recording, number, index):
     try:
         return clone(model).fit(recording[index])
     except ValueError as error:

@@ -2,15 +2,25 @@
 
 A job whose worker is killed is given to another one; one that kills every worker is `Lost`, and the others go on. What all jobs share travels to a
 worker of Dask once.
+
+Local processes are the standard library's, not a pool of joblib or of `concurrent.futures`: such a pool breaks as a
+whole when one process is killed, and does not say which job it had. Functions travel by cloudpickle, so a notebook may
+hold them.
 """
 
 import contextlib
 import functools
 import logging
+import multiprocessing
+import pickle
 import queue
+import signal
 import sys
-from collections import deque
+import traceback
+import types
+from collections import Counter, deque
 from concurrent import futures
+from multiprocessing import connection
 from typing import NamedTuple
 
 from tras.recording import versions
@@ -20,7 +30,11 @@ _PATIENCE = 5.0  # seconds to wait for a scheduler, and for its first worker
 _LOOK = 10.0  # seconds without a result after which one looks whether there are workers still
 _LARGE = {"distributed.admin.large-graph-warning-threshold": "1 GiB"}  # recordings in memory are sent knowingly
 _IDLE = 60  # seconds after which a local process that has nothing to do ends
-_POOLS = {}  # number of processes -> pool, kept for the next call
+_PROCESSES = []  # local processes that wait for the next call, with the pipes to them
+_PACKAGE = f"{__name__.partition('.')[0]}."
+# A fork server has imported the package already; a new interpreter for each process would import it again and again.
+_METHODS = multiprocessing.get_all_start_methods()
+_START = multiprocessing.get_context("forkserver" if "forkserver" in _METHODS else "spawn")
 
 
 class SchedulerError(ValueError):
@@ -47,7 +61,7 @@ def run(work, jobs, shared=(), *, scheduler=None, processes=None, ordered=False,
         None: one job after the other in this process. "processes": local processes. An address such as "tcp://host:8786": the workers of that
         Dask scheduler.
     processes : int, optional
-        Number of local processes; default one a core.
+        Number of local processes; default one per core.
     ordered : bool
         Give the results in the order of the jobs. Until it is their turn they stay on the workers of Dask.
     alike : callable
@@ -64,6 +78,8 @@ def run(work, jobs, shared=(), *, scheduler=None, processes=None, ordered=False,
         With one sentence, if the scheduler does not answer or goes away, or a worker is not ``alike``. What ``work`` raises is raised here.
     """
     require_scheduler(scheduler)
+    if processes is not None and (isinstance(processes, bool) or not isinstance(processes, int) or processes < 1):
+        raise ValueError(f"processes is {processes!r}; give a whole number, 1 or more, or None for one per core.")
     jobs = list(jobs)
     if scheduler is None:
         done = ((k, functools.partial(work, *shared, *job)) for k, job in enumerate(jobs))
@@ -95,58 +111,86 @@ def _in_turn(done):
 
 
 def _processes(work, jobs, shared, count):
-    """(number, function that returns the result) of each job. A killed process breaks the pool, and nobody knows by which job: those that were running
-    are done one by one, each alone, so that the guilty one is found and has all memory to itself."""
-    import joblib
-    from joblib.externals.loky import BrokenProcessPool
+    """(number, function that returns the result) of each job.
 
-    count = count or joblib.cpu_count()
-    waiting, running = deque(enumerate(jobs)), {}
-    try:
-        while waiting or running:
-            try:
-                pool = _pool(count)
-                while waiting and len(running) < count:
-                    k, job = waiting[0]
-                    running[pool.submit(work, *shared, *job)] = k
-                    waiting.popleft()
-            except BrokenProcessPool:  # killed while it had nothing to do, or a moment ago
-                pass
-            finished, _ = futures.wait(running, return_when=futures.FIRST_COMPLETED)
-            if any(isinstance(future.exception(), BrokenProcessPool) for future in finished):
-                finished, _ = futures.wait(running)
-            for future in sorted(finished, key=running.get):
-                k = running.pop(future)
-                broken = isinstance(future.exception(), BrokenProcessPool)
-                yield k, (_alone(work, (*shared, *jobs[k])) if broken else future.result)
-    except BaseException:  # also when interrupted, or when nobody asks for more
-        if running:
-            pool.shutdown(wait=False, kill_workers=True)
-        raise
-
-
-def _alone(work, arguments):
-    """Function that returns the result, or `Lost`."""
-    from joblib.externals.loky import BrokenProcessPool
-
-    for _ in range(_ATTEMPTS - 1):
-        future = _pool(1).submit(work, *arguments)
-        if not isinstance(future.exception(), BrokenProcessPool):
-            return future.result
-    return lambda: Lost(f"its process was killed {_ATTEMPTS} times (out of memory?)")
-
-
-def _pool(count):
-    """The pool of so many processes, a new one if the last was broken or ended. They import what they need when a job asks for it, not the caller's script.
-
-    Not the one pool that joblib shares with everybody: its own ``Parallel`` cannot go on with a pool that others made.
+    A job whose process was killed is done again after all others: alone, with all memory to itself.
     """
-    from joblib.externals.loky import ProcessPoolExecutor
+    import cloudpickle
+    from dask.system import cpu_count
 
-    pool = _POOLS.get(count)
-    if pool is None or pool._flags.broken is not None or pool._flags.shutdown:
-        pool = _POOLS[count] = ProcessPoolExecutor(max_workers=count, timeout=_IDLE)
-    return pool
+    together = cloudpickle.dumps((work, shared))  # functions of a notebook by value
+    waiting, suspects, running, deaths = deque(range(len(jobs))), deque(), {}, Counter()
+    try:
+        while waiting or suspects or running:
+            while len(running) < (count or cpu_count()) and (waiting or (suspects and not running)):
+                k = (waiting or suspects).popleft()
+                process, pipe = _idle_process()
+                running[pipe] = k, process
+                with contextlib.suppress(OSError):  # the process is gone, which is seen when its answer is read
+                    pipe.send((together, cloudpickle.dumps(jobs[k])))
+            for pipe in connection.wait(running):
+                k, process = running.pop(pipe)
+                try:
+                    result, error = pickle.loads(pipe.recv_bytes())
+                except (EOFError, OSError):  # killed
+                    deaths[k] += 1
+                    if deaths[k] < _ATTEMPTS:
+                        suspects.append(k)
+                    else:
+                        yield k, functools.partial(Lost, f"its process was killed {_ATTEMPTS} times (out of memory?)")
+                else:
+                    _PROCESSES.append((process, pipe))
+                    yield k, functools.partial(_give, result, error)
+    finally:
+        if running:  # interrupted, or nobody asks for more
+            for _, process in running.values():
+                process.kill()
+            while _PROCESSES:
+                _PROCESSES.pop()[0].kill()
+
+
+def _give(result, error):
+    if error is not None:
+        raise error
+    return result
+
+
+def _idle_process():
+    """A process and the pipe to it, of an earlier job or new.
+
+    A process imports what its jobs need, not the caller's script, which may have no guard against being imported.
+    """
+    while _PROCESSES:
+        process, pipe = _PROCESSES.pop()
+        if process.is_alive():
+            return process, pipe
+    pipe, theirs = _START.Pipe()
+    process = _START.Process(target=_serve, args=(theirs,), daemon=True)
+    _START.set_forkserver_preload(sorted(name for name in sys.modules if name.startswith(_PACKAGE)))
+    script, sys.modules["__main__"] = sys.modules["__main__"], types.ModuleType("__main__")
+    try:
+        process.start()
+    finally:
+        sys.modules["__main__"] = script
+    theirs.close()
+    return process, pipe
+
+
+def _serve(pipe):
+    """What a local process does, until no job has come for a while, or the caller is gone."""
+    import cloudpickle
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the caller ends its own
+    with contextlib.suppress(EOFError, OSError):
+        while pipe.poll(_IDLE):
+            message = pipe.recv()
+            try:
+                (work, shared), job = map(pickle.loads, message)
+                answer = cloudpickle.dumps((work(*shared, *job), None))
+            except BaseException as error:
+                error.add_note(f"In a local process:\n{traceback.format_exc()}")
+                answer = cloudpickle.dumps((None, error))
+            pipe.send_bytes(answer)
 
 
 # --------------------------------------------------------------------------------------------------------------------------- Dask

@@ -4,25 +4,29 @@ What can be shared is shared. A recording is simulated once for each ``frequency
 ``dictionary`` select from it and give a fit, a *point*; ``horizon``, ``nrmse_range`` and ``angle_names`` only look at the fit in other ways. As in
 the paper a fit is by plain least squares, its field by (18), and trusted beyond the data.
 
-`tras.grid_run` does it all, in processes and with a cache.
+`run` does it all, in processes, with every result kept in a small file, so that a killed run goes on where it was.
 """
 
 import itertools
+import json
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 # Names one by one, never the package as a whole: the cache asks which modules these results depend on.
-from tras import readings, stacked, validation
+from tras import cache, readings, stacked, validation
 from tras.closed_loop import REFERENCE_NAMES, simulate_closed_loop
 from tras.dictionary import Exponentials, Monomials
 from tras.excitation import multisine
 from tras.generator import LogarithmError
 from tras.model import KoopmanModel
-from tras.plant import TORQUE_NAMES, PlantParameters, PrintedPlant
+from tras.plant import STATE_NAMES, TORQUE_NAMES, PlantParameters, PrintedPlant
 from tras.radial import GaussianRBF
-from tras.recording import join
+from tras.recording import Recording, join
+from tras.study import compute, each
 
 MODEL = {"field": "least_squares", "regularization": None, "extrapolation": "functions"}  # as the paper does
 CHANNELS = {"reference": REFERENCE_NAMES, "torque": TORQUE_NAMES}
@@ -33,6 +37,7 @@ RANGES = {"validation_set": "all", "trajectory": "trajectory"}
 DRAWN = ("gaussian", "gaussian28")  # dictionaries with random centres
 SIMULATION = ("frequency_unit", "velocity_term")
 FIT = (*SIMULATION, "input", "state", "dictionary")
+EXPERIMENT = ("duration", "sampling_time", "max_frequency", "peak", "max_correlation")  # what recordings depend on
 
 
 @dataclass(frozen=True)
@@ -83,6 +88,58 @@ def points(study, only=None):
         for seed, draw in itertools.product(study.train_seeds, study.centre_draws if options["dictionary"] in DRAWN else study.centre_draws[:1]):
             found.append({**options, "train_seed": seed, "draw": draw})
     return found
+
+
+def run(study, folder, *, only=None, processes=2, progress=None):
+    """The whole grid, or a part of it.
+
+    Parameters
+    ----------
+    study : Study
+    folder : str or Path
+        Of the cache, for one run at a time. What is found there is not computed again.
+    only : dict, optional
+        As in `points`.
+    processes : int
+    progress : text stream, optional
+        Where a progress bar goes, for example ``sys.stderr``; none without it.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row per point, validation seed, horizon, range and angle: the options of the reading (without
+        ``angle_names``), ``train_seed, draw, validation_seed, angle, nrmse`` (percent; NaN without a model or if all
+        windows diverged), ``windows, diverged``, ``outcome`` ("model" or why there is none), ``N, condition``.
+    counts : dict
+        ``computed, cached``: points whose fit was computed, or found in the cache.
+    """
+    folder, code, wanted = Path(folder), cache.code_digest("tras.grid"), points(study, only)
+    names = [name for name in vars(study) if name not in ("train_seeds", "centre_draws")]  # a point has its own
+    about = cache.plain({name: getattr(study, name) for name in names})
+    parts, place = (study, folder, code), {"progress": progress or False, "processes": processes}
+    options = {"folder": folder, "code": code, **place}
+
+    def simulated(missing):
+        """Have all recordings in the cache first, so that each is simulated once."""
+        seeds = [(point, seed) for point in missing for seed in (point["train_seed"], *study.validation_seeds)]
+        jobs = {(*(point[name] for name in SIMULATION), seed) for point, seed in seeds}
+        cache.clear_temporaries(folder, "recording")
+        each(_simulated, sorted(jobs), parts, title="simulate", **place)
+        return parts
+
+    keys = [{**about, **point} for point in wanted]
+    values, counts = compute(_fitted, wanted, simulated, keys=keys, title="identify", **options)
+    groups = {}  # of models that run freely together
+    for point, value in zip(wanted, values):
+        if value["rows"]:
+            label = tuple(point[name] for name in ("state", "dictionary", "draw"))
+            groups.setdefault(label, []).append((point, value["field"]))
+    groups, names = list(groups.values()), {"title": "run freely", "unit": " groups", "kind": "free"}
+    keys = [{**about, "points": [_name(point) for point, _ in group]} for group in groups]
+    free, _ = compute(_run_freely, groups, parts, keys=keys, **names, **options)
+    rows = {name: rows for group in free for name, rows in group.items()}
+    parts = [_table_rows(study, point, value, rows.get(_name(point), [])) for point, value in zip(wanted, values)]
+    return pd.DataFrame([row for part in parts for row in part]), counts
 
 
 # ------------------------------------------------------------------------------------------------------------ the parts
@@ -173,3 +230,60 @@ def judge_free_runs(point, fields, truths):
             for (seed, truth), run in zip(truths[i].items(), runs):
                 rows[i] += rows_of(truth, run[None], validation_seed=seed, horizon="free_run")
     return rows
+
+
+# ------------------------------------------------------------------------------------- what a process does of a run
+
+
+def _simulated(study, folder, code, frequency_unit, velocity_term, seed):
+    """Have a recording in the cache."""
+    _recording(study, folder, code, {"frequency_unit": frequency_unit, "velocity_term": velocity_term}, seed)
+
+
+def _recording(study, folder, code, point, seed):
+    """`simulate`, from the cache if it is there."""
+    simulation = {name: point[name] for name in SIMULATION}
+    options = {**cache.plain({name: getattr(study, name) for name in EXPERIMENT}), **simulation, "seed": seed}
+    path = cache.place(folder, "recording", options, code, ".npz")
+    arrays = cache.read_arrays(path)
+    if arrays is None:
+        recording = simulate(study, **simulation, seed=seed)
+        arrays = {"states": recording.states, "inputs": recording.inputs}
+        cache.write_arrays(path, **arrays)
+    names = {"state_names": STATE_NAMES, "input_names": REFERENCE_NAMES + TORQUE_NAMES}
+    return Recording(arrays["states"], arrays["inputs"], study.sampling_time, **names)
+
+
+def _validation(study, folder, code, point):
+    return {seed: select(_recording(study, folder, code, point, seed), point) for seed in study.validation_seeds}
+
+
+def _fitted(study, folder, code, point):
+    """A point fitted and judged over windows."""
+    model, outcome = fit(point, training(study, _recording(study, folder, code, point, point["train_seed"]), point))
+    if not model:
+        return {"outcome": outcome, "rows": []}
+    rows = judge_windows(study, model, _validation(study, folder, code, point))
+    about = {"N": len(model.names_), "condition": model.condition_number, "field": stacked.field_of(model)}
+    return {"outcome": outcome, "rows": rows, **about}
+
+
+def _run_freely(study, folder, code, group):
+    """Free runs of the models of one dictionary, draw and state on all validation recordings: name of a point -> rows."""
+    some, fields = zip(*group)
+    rows = judge_free_runs(some[0], fields, [_validation(study, folder, code, point) for point in some])
+    return {_name(point): own for point, own in zip(some, rows)}
+
+
+def _name(point):
+    return json.dumps(list(point.values()))
+
+
+def _table_rows(study, point, value, free):
+    rows = [*value["rows"], *free]
+    if not rows:  # no model: its rows say so, and keep their place
+        labels = itertools.product(study.validation_seeds, readings.choices("horizon"), RANGES, validation.ANGLES)
+        names = ("validation_seed", "horizon", "nrmse_range", "angle")
+        rows = [{**dict(zip(names, label)), "nrmse": None, "windows": 0, "diverged": 0} for label in labels]
+    about = {"outcome": value["outcome"], "N": value.get("N"), "condition": value.get("condition")}
+    return [{**point, **row, "nrmse": math.nan if row["nrmse"] is None else row["nrmse"], **about} for row in rows]

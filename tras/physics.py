@@ -10,12 +10,11 @@ so with the accelerations that an identified field F gives, they follow by one l
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed
 from sklearn.base import clone
-from tqdm import tqdm
 
 from tras.recording import join
 from tras.plant import STATE_NAMES, STATE_UNITS, TORQUE_NAMES, TORQUE_UNITS
+from tras.study import each
 
 PARAMETER_NAMES = ("J", "J_psi0", "J_phi", "G_c", "G_s", "C_phi", "C_psi", "K_psi")
 PARAMETER_UNITS = ("kg m^2", "kg m^2", "kg m^2", "N m", "N m", "N m s/rad", "N m s/rad", "N m/rad")
@@ -118,9 +117,8 @@ def parameter_intervals(model, recording, draws=50, level=0.95, seed=0, pipeline
     identify = pipeline or (lambda resample: clone(model).fit(resample))
     value = _estimate(model, points)
     resamples = np.random.default_rng(seed).integers(count, size=(draws, count)).tolist()
-    tasks = (delayed(_draw)(identify, recording, points, k, indices) for k, indices in enumerate(resamples))
-    parallel = Parallel(n_jobs=processes, return_as="generator")(tasks)
-    estimates = np.array(list(tqdm(parallel, total=draws, desc="bootstrap", leave=False, disable=None)))
+    shared = identify, recording, points
+    estimates = np.array(each(_draw, enumerate(resamples), shared, title="bootstrap", processes=processes))
     low, high = np.quantile(estimates, [(1 - level) / 2, (1 + level) / 2], axis=0)
     columns = {"value": value, "low": low, "high": high, "standard_error": estimates.std(axis=0, ddof=1)}
     return pd.DataFrame(columns, index=list(PARAMETER_NAMES))

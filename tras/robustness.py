@@ -7,7 +7,6 @@ processes.
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed
 from sklearn.base import clone
 
 from tras import validation
@@ -23,6 +22,7 @@ from tras.plant import TORQUE_NAMES, PlantParameters
 from tras.recording import Recording
 from tras.refinement import refine
 from tras.smoothing import smooth
+from tras.study import each
 
 PAIRS = [("phi", "phidot"), ("psi", "psidot")]  # an angle and its rate
 DICTIONARIES = {
@@ -101,16 +101,14 @@ def noise_study(train, fresh, levels, seeds, samples, window, *, methods=METHODS
     tried = [(level, seeds[0]) for level in (levels if default_levels is None else default_levels)]
     runs = [(level, seed) for level in levels for seed in (seeds if level else seeds[:1])]
     cases = [(*run, [m for m in methods if (run in tried if m == "default" else run[0] or m == "plain")]) for run in runs]
-    # The dearest, with all methods, first, so that no process is left with one at the end.
-    order = sorted(range(len(cases)), key=lambda i: (-len(cases[i][2]), -cases[i][0]))
-    done = Parallel(n_jobs=processes)(delayed(_noise_case)(train, fresh, *cases[i], samples, window, segment) for i in order)
-    parts = [part for _, part in sorted(zip(order, done), key=lambda pair: pair[0])]
+    shared = train, fresh, samples, window, segment
+    parts = each(_noise_case, cases, shared, cost=lambda level, seed, methods: (len(methods), level), processes=processes)
     models = {key: model for _, found, _ in parts for key, model in found.items()}
     recordings = {case[:2]: pair for case, (_, _, pair) in zip(cases, parts)}
     return pd.DataFrame([row for rows, _, _ in parts for row in rows]), models, recordings
 
 
-def _noise_case(train, fresh, level, seed, methods, samples, window, segment):
+def _noise_case(train, fresh, samples, window, segment, level, seed, methods):
     """Rows, models, and the pair of recordings as measured and smoothed."""
     recording = noisy(train, level, seed)
     smoothed = smooth(recording, PAIRS) if level else recording
@@ -189,7 +187,7 @@ def sampling_study(times, duration, band, peak, seeds, trajectory, window, *, pr
             )[1]
         ]
 
-    parts = Parallel(n_jobs=processes)(delayed(case)(dt) for dt in times)
+    parts = each(case, [(dt,) for dt in times], processes=processes)
     columns = ["sampling_time", "dictionary", "predictor", "angle", "nrmse", "windows", "diverged", "failure", "fastest"]
     return pd.DataFrame([row for part in parts for row in part])[columns]
 
@@ -234,8 +232,7 @@ def length_study(train, levels, ratios, stretches, *, fits=("plain", "default"),
         about = {"fit": fit, "dictionary": name, "functions": functions, "noise": level, "ratio": ratio, "pairs": pairs}
         return {**about, "seconds": pairs * train.dt, "stretches": stretches, **shares, "failed": sum(shares.values())}
 
-    cases.sort(key=lambda each: -each[5])  # the dearest first, so that no process is left with it at the end
-    table = pd.DataFrame(Parallel(n_jobs=processes)(delayed(case)(*each) for each in cases))
+    table = pd.DataFrame(each(case, cases, cost=lambda *options: options[5], processes=processes))
     return table.sort_values(["fit", "noise", "functions", "dictionary", "ratio"], ascending=[False, True, True, True, True], ignore_index=True)
 
 

@@ -1,16 +1,15 @@
 """Many fits: every point of a grid, on local processes or a Dask cluster, each result kept in a small file as soon as it is there."""
 
-import contextlib
 import math
 from pathlib import Path
 
 import pandas as pd
-from tqdm import tqdm
 
 from tras import cache as results_cache
 from tras import executors, sweep_grid, sweep_point
 from tras.formats import checksum
 from tras.recording import Recording, versions
+from tras.study import compute
 from tras.sweep_grid import DICTIONARIES
 from tras.sweep_point import Data, File
 
@@ -86,29 +85,17 @@ def sweep(
         raise ValueError("grid varies split_seed, but held_out is given, so nothing is split; leave one of the two out.")
     data, names = _data(recording, held_out, states, inputs, window, train_fraction, points)
     latest = max(point.model.delays for point in points)
-    store = _Store(cache, data, latest, points)
-    values = {k: store.read(point) for k, point in enumerate(points)}
-    missing = [k for k, value in values.items() if value is None]
-    done = len(points) - len(missing)
-    results = executors.run(
-        sweep_point.evaluate, [(points[k],) for k in missing], (data, latest), scheduler=scheduler, processes=processes, alike=same_code
-    )
-    bar = tqdm(total=len(points), initial=done, desc="sweep", unit=" fits", disable=None if progress is None else not progress)
+    keys = None if cache is None else _keys(points, data, latest)
     try:
-        with contextlib.closing(results), bar:
-            for number, value in results:
-                k = missing[number]
-                if isinstance(value, executors.Lost):
-                    value = {"outcome": f"no result: {value.reason}"}
-                values[k] = store.write(points[k], value)
-                done += 1
-                bar.update()
-    except KeyboardInterrupt:
-        kept = f"kept in {cache}: sweep again to go on" if cache is not None else "lost: give a cache to keep them"
-        raise KeyboardInterrupt(f"interrupted; {done} of {len(points)} fits are done and {kept}.") from None
+        values, _ = compute(
+            sweep_point.evaluate, points, (data, latest), keys=keys, folder=cache, kind="fit",
+            code=results_cache.code_digest("tras.sweep_point"), keep=_is_lasting,
+            if_lost=lambda reason: {"outcome": f"no result: {reason}"}, title="sweep", unit=" fits", progress=progress,
+            scheduler=scheduler, processes=processes, alike=same_code,
+        )  # fmt: skip
     finally:
         sweep_point.forget()
-    return _table(points, [values[k] for k in range(len(points))], names)
+    return _table(points, values, names)
 
 
 def same_code():
@@ -145,34 +132,20 @@ def _sources(name, given):
     return tuple(item if isinstance(item, Recording) else sweep_point.file(item) for item in items)
 
 
-class _Store:
-    """Results point by point in a folder, or nowhere."""
+def _keys(points, data, latest):
+    """All that each result depends on beside the code, as JSON holds it."""
+    foreign = [kind for point in points for kind in _kinds(point.model.dictionary) if kind not in DICTIONARIES.values()]
+    if foreign:
+        raise ValueError(f"cache: {foreign[0].__name__} is no dictionary of this package, so a change of its code would go unnoticed; leave cache out.")
+    content = {name: [_content(item) for item in getattr(data, name) or ()] for name in ("train", "held")}
+    content |= {"states": data.states, "inputs": data.inputs, "window": data.window, "fraction": data.fraction}
+    content = results_cache.plain(content)
+    return [{"point": point.identity(), "data": content, "latest": latest} for point in points]
 
-    def __init__(self, folder, data, latest, points):
-        self.folder = folder
-        if folder is None:
-            return
-        foreign = [kind for point in points for kind in _kinds(point.model.dictionary) if kind not in DICTIONARIES.values()]
-        if foreign:
-            raise ValueError(f"cache: {foreign[0].__name__} is no dictionary of this package, so a change of its code would go unnoticed; leave cache out.")
-        self.code, self.latest = results_cache.code_digest("tras.sweep_point"), latest
-        content = {name: [_content(item) for item in getattr(data, name) or ()] for name in ("train", "held")}
-        self.data = {**content, "states": data.states, "inputs": data.inputs, "window": data.window, "fraction": data.fraction}
-        self.data = results_cache.plain(self.data)
-        results_cache.clear_temporaries(folder)
 
-    def _place(self, point):
-        options = {"point": point.identity(), "data": self.data, "latest": self.latest}
-        return results_cache.place(self.folder, "fit", options, self.code), options
-
-    def read(self, point):
-        return None if self.folder is None else results_cache.read(*self._place(point))
-
-    def write(self, point, value):
-        """The value as it is read again. What another worker, or more memory, may do is not kept."""
-        if self.folder is None or value["outcome"].startswith("no result"):
-            return results_cache.plain(value)
-        return results_cache.write(*self._place(point), value)
+def _is_lasting(value):
+    """Whether a value is kept: what another worker, or more memory, may do is not."""
+    return not value["outcome"].startswith("no result")
 
 
 def _kinds(dictionary):
