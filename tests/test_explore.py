@@ -99,7 +99,7 @@ def test_the_papers_choice_has_the_published_numbers():
 def test_every_dictionary_with_every_predictor(dictionary, predictor, state):
     """A model as large as was counted beforehand, or a sentence."""
     usual = choice.SIZES[dictionary][2]
-    chosen = SMALL.replaced(dictionary=dictionary, size=usual, predictor=predictor, state=state, delays=int(state == "angles"), field="coordinates")
+    chosen = SMALL.replaced(dictionary=dictionary, size=usual, predictor=predictor, state=state, delays=int(state == "delayed_angles"), field="coordinates")
     try:
         model = explore.explore(chosen).model
     except ChoiceError as error:
@@ -202,6 +202,7 @@ def test_a_file_holds_the_whole_choice_and_every_notebook_accepts_its_part(chose
         parameters.check_parameters(section, DEFAULTS[name], name)
     read = readings.Readings(**content["06_readings"]["default"])
     assert (read.input, read.frequency_unit, read.nrmse_range) == (chosen.input, chosen.frequency_unit, chosen.nrmse_range)
+    assert read.state == chosen.state
     assert content["01_data_generation"]["train_seed"] == chosen.seed
 
 
@@ -221,9 +222,16 @@ def test_another_experiment_takes_the_small_studies():
 
 
 def test_a_reading_is_named_where_it_has_a_name():
-    assert profile.reading(Choice(dictionary="monomials", size=3)).dictionary == "monomials3"
-    assert profile.reading(Choice(state="angles", delays=1)).state == "delayed_angles"
-    assert profile.reading(Choice(dictionary="gaussian", size=5)) == readings.Readings()
+    assert Choice(dictionary="monomials", size=3).reading().dictionary == "monomials3"
+    assert Choice(dictionary="monomials", size=4).reading().dictionary == "gaussian"
+    assert Choice(dictionary="gaussian", size=28).reading().dictionary == "gaussian28"
+    assert Choice(dictionary="exponentials", size=2).reading().dictionary == "exponentials"
+    assert Choice(state="delayed_angles", delays=1).reading().state == "delayed_angles"
+    assert Choice(dictionary="gaussian", size=5).reading() == readings.Readings()
+
+
+def test_a_file_with_the_explorers_former_word_is_still_read():
+    assert choice.choice_of({"state": "angles", "delays": 2}) == Choice(state="delayed_angles", delays=2)
 
 
 @pytest.mark.parametrize("name", ["paper", "smoke", "", "../mine", "a b", "mine.yaml"])

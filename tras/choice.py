@@ -1,15 +1,21 @@
-"""One choice of experiment, model and judgement: what the explorer's controls hold, and what a parameter file can hold of it.
+"""One choice of experiment, model and judgement: what the explorer's controls and a parameter file hold.
 
-The defaults are the paper's: references as input, two Gaussians, least squares, equation (18), 500 s at 0.01 s, windows of 6 s.
+What the paper leaves open has the words of `tras.readings`; the rest comes on top. The defaults are the paper's: references
+as input, two Gaussians, least squares, equation (18), 500 s at 0.01 s, windows of 6 s.
 """
 
 import math
 from dataclasses import asdict, dataclass, fields, replace
 
+from tras import readings
+
+SHARED = ("input", "frequency_unit", "state", "nrmse_range")  # fields whose choices are those of a reading
 # field -> choices, the default first, each with what it means
-OPTIONS = {
-    "input": {"reference": "the references in rad, as the paper says", "torque": "the torques in N m that act on the rig"},
-    "frequency_unit": {"rad/s": "of 0.2 and 0.8, the highest frequencies", "Hz": "the same numbers, 2 pi times higher"},
+OPTIONS = {name: readings.OPTIONS[name][1] for name in SHARED} | {
+    "state": {
+        "four_states": "the model knows angles and rates",
+        "delayed_angles": "the model knows the two angles alone, now and `delays` samples earlier",
+    },
     "dictionary": {
         "gaussian": "Gaussians at random centres beside constant, states and inputs",
         "linear": "constant, states and inputs alone",
@@ -18,22 +24,26 @@ OPTIONS = {
         "fourier": "cosines and sines of all channels",
         "mechanical": "what the equations of motion of a mechanical system allow",
     },
-    "state": {"four_states": "angles and rates are known", "angles": "the two angles alone are known; give delays"},
     "predictor": {
         "vector_field": "integrate F, as the paper does",
-        "one_step": "apply K, lift again at each sample",
+        "one_step": "apply K and lift again at each sample",
         "lifted_linear": "lift once, then z+ = A z + B u",
     },
-    "field": {"least_squares": "F by equation (18), as the paper does", "coordinates": "F from the states' own columns of A"},
+    "field": {
+        "least_squares": "F by equation (18), as the paper does",
+        "coordinates": "F from the states' own columns of A",
+    },
     "regularization": {
         "none": "plain least squares, as the paper does",
         "shrink": "draws the coefficients towards the linear model",
         "tikhonov": "draws all coefficients towards no change",
-        "truncated": "leaves the smallest singular values out",
-        "sparse": "leaves the functions that contribute least out",
+        "truncated": "leaves out the smallest singular values",
+        "sparse": "leaves out the functions that contribute least",
     },
-    "extrapolation": {"functions": "the functions are trusted beyond the data", "linear": "beyond the data the model goes on linearly"},
-    "nrmse_range": {"validation_set": "of the whole validation recording", "trajectory": "of each window by itself"},
+    "extrapolation": {
+        "functions": "the model trusts the functions beyond the data",
+        "linear": "beyond the data the model goes on linearly",
+    },
 }
 # field -> (lowest, highest, unit)
 RANGES = {
@@ -46,7 +56,7 @@ RANGES = {
     "strength": (0.0, 1.0, ""),
     "horizon": (0.05, 100.0, "s"),
 }
-# dictionary -> (lowest and highest size, a usual one, what the size is)
+# dictionary -> (lowest, highest and usual size, what the size is)
 SIZES = {
     "gaussian": (1, 200, 2, "the number of centres"),
     "linear": (1, 200, 1, "without meaning"),
@@ -63,7 +73,7 @@ class ChoiceError(ValueError):
 
 @dataclass(frozen=True)
 class Choice:
-    """Everything that the explorer lets one choose, checked.
+    """Everything that the explorer offers, checked.
 
     Parameters
     ----------
@@ -72,7 +82,7 @@ class Choice:
     duration, sampling_time : float
         Of the training recording, in s.
     seed : int
-        Of the excitation, the noise and the random centres; validation has the next one.
+        Of the excitation, the noise and the random centres; validation takes the next one.
     noise : float
         On the states of the training recording, in percent of each one's range.
     size : int
@@ -82,7 +92,7 @@ class Choice:
     delays : int
         Earlier samples that count as states.
     strength : float
-        Of the regularisation; see `tras.regularization`.
+        Of the regularization; see `tras.regularization`.
     horizon : float
         Length of the validation windows, in s.
 
@@ -119,14 +129,16 @@ class Choice:
     nrmse_range: str = "validation_set"
 
     def __post_init__(self):
-        for name, allowed in OPTIONS.items():
-            if getattr(self, name) not in allowed:
-                raise ChoiceError(f"{name} is {getattr(self, name)!r}: choose one of {', '.join(allowed)}.")
+        for name, meanings in OPTIONS.items():
+            if getattr(self, name) not in meanings:
+                raise ChoiceError(f"{name} is {getattr(self, name)!r}: choose one of {', '.join(meanings)}.")
         for name, (low, high, unit) in RANGES.items():
             _check_number(name, getattr(self, name), low, high, unit, whole=isinstance(getattr(type(self), name), int))
         low, high, _, meaning = SIZES[self.dictionary]
         if isinstance(self.size, bool) or not isinstance(self.size, int) or not low <= self.size <= high:
-            raise ChoiceError(f"size is {self.size!r}: with dictionary = {self.dictionary} it is {meaning}, {low} to {high}.")
+            raise ChoiceError(
+                f"size is {self.size!r}: with dictionary = {self.dictionary} it is {meaning}, {low} to {high}."
+            )
 
     def replaced(self, **changes):
         """A copy with other values, checked."""
@@ -136,13 +148,21 @@ class Choice:
         """Name -> value, in order."""
         return asdict(self)
 
+    def reading(self):
+        """The `Readings` nearest to the choice: the default where the paper's text has no name for what is chosen."""
+        names = (f"{self.dictionary}{self.size}", self.dictionary)  # gaussian28, monomials2; gaussian, linear
+        dictionary = next((name for name in names if name in readings.choices("dictionary")), "gaussian")
+        return readings.Readings(dictionary=dictionary, **{name: getattr(self, name) for name in SHARED})
+
 
 def choice_of(values):
     """A `Choice` from a mapping, such as a section of a parameter file; what is left out has its default."""
-    known = [field.name for field in fields(Choice)]
+    names = [field.name for field in fields(Choice)]
     for name in values:
-        if name not in known:
-            raise ChoiceError(f"there is no {name!r} to choose: there are {', '.join(known)}.")
+        if name not in names:
+            raise ChoiceError(f"there is no {name!r} to choose: there are {', '.join(names)}.")
+    if values.get("state") == "angles":  # files of the explorer before it took the word of the readings
+        values = {**values, "state": "delayed_angles"}
     return Choice(**values)
 
 
@@ -156,7 +176,7 @@ def _check_number(name, value, low, high, unit, whole):
 _CUBIC = {"input": "torque", "dictionary": "monomials", "size": 3, "field": "coordinates"}
 _MECHANICAL = {"input": "torque", "dictionary": "mechanical", "size": 8}
 
-# What is worth a look, in the order of explore.ipynb
+# Choices worth a look, in the order of explore.ipynb
 EXAMPLES = {
     "the paper's text": Choice(),
     "nearest to the paper's numbers": Choice(nrmse_range="trajectory"),
@@ -166,6 +186,6 @@ EXAMPLES = {
     "the same, F by equation (18)": Choice(**_MECHANICAL),
     "cubic terms, 100 s of data": Choice(**_CUBIC, duration=100.0),
     "the same, linear beyond the data": Choice(**_CUBIC, duration=100.0, extrapolation="linear"),
-    "two angles and one delay": Choice(state="angles", delays=1),
+    "two angles and one delay": Choice(state="delayed_angles", delays=1),
     "functions for mechanics, 1 % noise": Choice(**_MECHANICAL, noise=1.0),
 }

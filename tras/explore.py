@@ -193,7 +193,7 @@ def unfitted(choice):
 
 
 def _channels(whole, choice):
-    return whole.select(states=None if choice.state == "four_states" else ("phi", "psi"), inputs=grid.CHANNELS[choice.input])
+    return whole.select(states=grid.STATES[choice.state][0], inputs=grid.CHANNELS[choice.input])
 
 
 def _cut(whole, least, name, seconds):

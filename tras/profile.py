@@ -1,8 +1,8 @@
 """A choice of the explorer as a parameter file: `make all PROFILE=NAME` then runs every stage with it.
 
-Stage 09 takes the choice whole. The others have what they know of it: the experiment (01), the paper's dictionary and the way to the field (02), the
-windows (03), the reading (06). The studies 05 and 07 need data enough for what they vary; on another recording than the paper's they run at the
-small size of params/smoke.yaml.
+Stage 09 takes the whole choice. The others take the part that concerns them: the experiment (01), the paper's dictionary and
+the way to the field (02), the windows (03), the reading (06). The studies 05 and 07 vary the data and need enough of them;
+on a recording other than the paper's they run at the small size of params/smoke.yaml.
 """
 
 import math
@@ -13,15 +13,13 @@ from tras.choice import Choice
 from tras.files import project_root, replacing
 from tras.grid import FREQUENCY
 from tras.parameters import parse_yaml
-from tras.readings import Readings
 
 FIRST_LINE = "# Written by the explorer (notebooks/explore.ipynb)"
-KEPT = ("paper", "smoke")  # profiles of the project itself
-_READ = {("gaussian", 2): "gaussian", ("gaussian", 28): "gaussian28", ("monomials", 2): "monomials2", ("monomials", 3): "monomials3"}
+RESERVED = ("paper", "smoke")  # profiles of the project itself
 
 
 class ProfileError(ValueError):
-    """A name that cannot be a profile's."""
+    """A name that no profile can have."""
 
 
 def sections(choice, small=None):
@@ -36,10 +34,10 @@ def sections(choice, small=None):
     Returns
     -------
     dict
-        Notebook -> {parameter: value}; what is left out stays as the notebook has it.
+        Notebook -> {parameter: value}; the notebook's own value holds for what is left out.
     """
     paper, factor = Choice(), FREQUENCY[choice.frequency_unit]
-    found = {
+    notebooks = {
         "01_data_generation": {
             "duration": choice.duration, "sampling_time": choice.sampling_time, "train_seed": choice.seed,
             "validation_seeds": [choice.seed + k for k in (1, 2, 3, 4)],
@@ -49,27 +47,19 @@ def sections(choice, small=None):
         "02_identification": {"field": choice.field},
         "03_validation": {"window": choice.horizon, "free_run": choice.duration},
         "06_readings": {
-            "default": reading(choice).model_dump(), "duration": choice.duration, "sampling_time": choice.sampling_time, "window": choice.horizon,
+            "default": choice.reading().model_dump(), "duration": choice.duration,
+            "sampling_time": choice.sampling_time, "window": choice.horizon,
         },
         "09_pictures": {"choice": choice.as_dict()},
     }  # fmt: skip
     if choice.dictionary == "gaussian":
-        found["02_identification"] |= {"rbf_centres": choice.size, "rbf_width": choice.width, "rbf_seed": choice.seed - 1}
+        gaussians = {"rbf_centres": choice.size, "rbf_width": choice.width, "rbf_seed": choice.seed - 1}
+        notebooks["02_identification"] |= gaussians
     experiment = ("duration", "sampling_time", "frequency_unit")
     if any(getattr(choice, name) != getattr(paper, name) for name in experiment):
         for name, section in (small or {}).items():
-            found[name] = section | found.get(name, {})
-    return found
-
-
-def reading(choice):
-    """The reading of the text (`tras.readings`) that is nearest to a choice: what it has no name for is as by default."""
-    dictionary = choice.dictionary if choice.dictionary in ("linear", "exponentials") else _READ.get((choice.dictionary, choice.size))
-    return Readings(
-        input=choice.input, frequency_unit=choice.frequency_unit, nrmse_range=choice.nrmse_range,
-        state="delayed_angles" if (choice.state, choice.delays) == ("angles", 1) else "four_states",
-        **({"dictionary": dictionary} if dictionary else {}),
-    )
+            notebooks[name] = section | notebooks.get(name, {})
+    return notebooks
 
 
 def text(choice, name, small=None):
@@ -103,23 +93,25 @@ def write(choice, name, folder=None):
     Raises
     ------
     ProfileError
-        (a ValueError) If the name is none, is one of the project's own, or belongs to a file that the explorer has not written.
+        (a ValueError) If the name has other characters, is one of the project's own, or belongs to a file that the
+        explorer has not written.
     """
     folder = Path(folder or project_root() / "params")
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
         raise ProfileError(f"NAME is {name!r}: give letters, digits, - and _, beginning with a letter or digit.")
     path = folder / f"{name}.yaml"
-    if name in KEPT or (path.exists() and not path.read_text(encoding="utf-8").startswith(FIRST_LINE)):
+    if name in RESERVED or (path.exists() and not path.read_text(encoding="utf-8").startswith(FIRST_LINE)):
         raise ProfileError(f"NAME is {name!r}, and {path.name} is not the explorer's: choose another name.")
     smoke = project_root() / "params" / "smoke.yaml"
-    small = parse_yaml(smoke.read_text(encoding="utf-8"), smoke)
+    parameters = parse_yaml(smoke.read_text(encoding="utf-8"), smoke)
+    small = {study: parameters[study] for study in ("05_robustness", "06_readings", "07_comparison")}
     with replacing(path) as temporary:
-        temporary.write_text(text(choice, name, {study: small[study] for study in ("05_robustness", "06_readings", "07_comparison")}), encoding="utf-8")
+        temporary.write_text(text(choice, name, small), encoding="utf-8")
     return path
 
 
 def _literal(value):
-    """A value as YAML reads it back: text in quotes, floats with point and sign.
+    """A value in the form that YAML reads back: text in quotes, floats with point and sign.
 
     >>> _literal(1e-06), _literal(500.0), _literal("rad/s"), _literal([1, 2.5])
     ('1.0e-06', '500.0', '"rad/s"', '[1, 2.5]')

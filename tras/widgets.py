@@ -18,7 +18,7 @@ _LABELS = {
     "horizon": "horizon (s)", "nrmse_range": "range in (21)", "extrapolation": "beyond data", "regularization": "regularise", "field": "F from",
 }  # fmt: skip
 _WORDS = {
-    "least_squares": "equation (18)", "coordinates": "columns of A", "four_states": "all four", "angles": "two angles", "vector_field": "vector field",
+    "least_squares": "equation (18)", "coordinates": "columns of A", "four_states": "all four", "delayed_angles": "two angles", "vector_field": "vector field",
     "one_step": "one step", "lifted_linear": "lifted linear", "validation_set": "whole recording", "trajectory": "each window", "functions": "trust functions",
     "linear": "linear",
 }  # fmt: skip
