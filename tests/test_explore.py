@@ -316,10 +316,10 @@ def test_the_button_writes_the_choice(panel):
     panel.set(SMALL)
     panel.name.value = "paper"
     panel.button.click()
-    assert "choose another name" in words(panel.said)
+    assert "choose another name" in words(panel.answer)
     panel.name.value = "own-1"
     panel.button.click()
-    assert words(panel.said) == "own-1.yaml is written: make all PROFILE=own-1"
+    assert words(panel.answer) == "own-1.yaml is written: make all PROFILE=own-1"
     assert choice.choice_of(yaml.safe_load((panel.folder / "own-1.yaml").read_text())["09_pictures"]["choice"]) == SMALL
 
 

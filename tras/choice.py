@@ -1,7 +1,7 @@
 """One choice of experiment, model and judgement: what the explorer's controls and a parameter file hold.
 
-What the paper leaves open has the words of `tras.readings`; the rest comes on top. The defaults are the paper's: references
-as input, two Gaussians, least squares, equation (18), 500 s at 0.01 s, windows of 6 s.
+What the paper leaves open has the words of `tras.readings`; the rest comes on top. The defaults are the paper's:
+references as input, two Gaussians, least squares, equation (18), 500 s at 0.01 s, windows of 6 s.
 """
 
 import math

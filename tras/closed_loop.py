@@ -230,7 +230,7 @@ def _loop(reference, dt, plant, controllers, x0, step):
     advance = stepper(plant, dt, step=step, functions=functions)
     pitch, yaw = (_control_law(pid, dt, clip) for pid in controllers)
     states, torques = [], []
-    with np.errstate(over="ignore", invalid="ignore"):  # `advance` says so itself
+    with np.errstate(over="ignore", invalid="ignore"):  # `advance` raises
         for r_phi, r_psi in reference:
             if torques:
                 x = advance(x, torques[-1])

@@ -1,8 +1,8 @@
 """A choice of the explorer as a parameter file: `make all PROFILE=NAME` then runs every stage with it.
 
-Stage 09 takes the whole choice. The others take the part that concerns them: the experiment (01), the paper's dictionary and
-the way to the field (02), the windows (03), the reading (06). The studies 05 and 07 vary the data and need enough of them;
-on a recording other than the paper's they run at the small size of params/smoke.yaml.
+Stage 09 takes the whole choice. The others take the part that concerns them: the experiment (01), the paper's
+dictionary and the way to the field (02), the windows (03), the reading (06). The studies 05 and 07 vary the data and
+need enough of them; on a recording other than the paper's they run at the small size of params/smoke.yaml.
 """
 
 import math

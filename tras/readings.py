@@ -13,7 +13,8 @@ import pydantic
 # option -> (the paper's own words, {choice: what it means}), the default first
 OPTIONS = {
     "input": (
-        "In our study, we incorporate two controlled inputs: yaw input  $(u_1)$  and pitch input  $(u_2)$ , both measured in radians.",
+        "In our study, we incorporate two controlled inputs: yaw input  $(u_1)$  and pitch input  $(u_2)$ , both "
+        "measured in radians.",
         {
             "reference": "the reference angles in rad, as the sentence says; "
             "with the PID inside the loop the four states are then not closed",
@@ -21,15 +22,16 @@ OPTIONS = {
         },
     ),
     "frequency_unit": (
-        "The maximum frequency of  $u_1$  and  $u_2$  are 0.8 and 0.2 rad/cycle respectively while minimum frequency is 0 rad/cycle.",
+        "The maximum frequency of  $u_1$  and  $u_2$  are 0.8 and 0.2 rad/cycle respectively while minimum frequency "
+        "is 0 rad/cycle.",
         {
             "rad/s": "63 lines in yaw and 15 in pitch over 500 s, no saturation",
             "Hz": "2 pi times higher: 400 and 100 lines, yaw often saturated",
         },
     ),
     "dictionary": (
-        'This involved employing a "Gauss radial basis function (RBF)" of maximum degree  $w = 2$  in conjunction with the '
-        "training data gathered.",
+        'This involved employing a "Gauss radial basis function (RBF)" of maximum degree  $w = 2$  in conjunction '
+        "with the training data gathered.",
         {
             "gaussian": "two Gaussians of width 1 at random centres beside constant, states and inputs, N = 9, "
             "as in the public code of the method",
@@ -49,8 +51,9 @@ OPTIONS = {
         },
     ),
     "horizon": (
-        "Under identical initial conditions and control inputs, the Koopman-based model's projected position (blue) is superimposed on the "
-        "measured  $\\phi$  and  $\\psi$  angles of the TRAS during a 6-second time window (black, dotted).",
+        "Under identical initial conditions and control inputs, the Koopman-based model's projected position (blue) "
+        "is superimposed on the measured  $\\phi$  and  $\\psi$  angles of the TRAS during a 6-second time window "
+        "(black, dotted).",
         {
             "window": "6 s, each window from its own true initial state",
             "trajectory": "5 s, the trajectories as cut for the fit",
@@ -72,7 +75,8 @@ OPTIONS = {
         },
     ),
     "angle_names": (
-        "Additionally, we focus on two outputs: yaw angle  $(\\phi)$  and pitch angle  $(\\psi)$ , measured in radians.",
+        "Additionally, we focus on two outputs: yaw angle  $(\\phi)$  and pitch angle  $(\\psi)$ , measured in "
+        "radians.",
         {
             "words": "4.0589 % belongs to yaw, 5.5889 % to pitch, as the words say",
             "symbols": "4.0589 % belongs to phi and 5.5889 % to psi; in the equations phi is pitch, psi yaw",
@@ -108,7 +112,7 @@ class _Frozen(pydantic.BaseModel):
             raise ReadingError(_sentence(error.errors()[0], values)) from None
 
     def __setattr__(self, option, choice):
-        raise ReadingError(f"{option} cannot be changed in place: readings.replaced({option}=...) makes a changed copy.")
+        raise ReadingError(f"{option} cannot be changed in place: readings.replaced({option}=...) gives a copy.")
 
     def replaced(self, **changes):
         """A copy with other choices, checked."""
@@ -146,17 +150,17 @@ def table():
     Returns
     -------
     pandas.DataFrame
-        Columns ``option, choice, default`` (True for one choice per option), ``meaning``, and ``paper``: the sentence that
-        the option reads.
+        Columns ``option, choice, default`` (True for one choice per option), ``meaning``, and ``paper``: the sentence
+        that the option reads.
     """
     import pandas as pd
 
     rows = [
-        {"option": option, "choice": choice, "default": choice == choices(option)[0], "meaning": meaning, "paper": sentence}
+        (option, choice, choice == choices(option)[0], meaning, sentence)
         for option, (sentence, meanings) in OPTIONS.items()
         for choice, meaning in meanings.items()
     ]
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows, columns=["option", "choice", "default", "meaning", "paper"])
 
 
 def markdown():
@@ -241,7 +245,9 @@ def main(arguments=None):
 
     from tras.files import write_between
 
-    parser = argparse.ArgumentParser(prog="python -m tras.readings", description="Write the table of readings into a document.")
+    parser = argparse.ArgumentParser(
+        prog="python -m tras.readings", description="Write the table of readings into a document."
+    )
     parser.add_argument("document", type=Path)
     try:
         write_between(parser.parse_args(arguments).document, BEGIN, END, markdown())
