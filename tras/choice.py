@@ -2,13 +2,25 @@
 
 What the paper leaves open has the words of `tras.readings`; the rest comes on top. The defaults are the paper's:
 references as input, two Gaussians, least squares, equation (18), 500 s at 0.01 s, windows of 6 s.
+
+`write_parameters` writes a choice as ``params/NAME.yaml``, with which `make all PROFILE=NAME` runs every stage. Stage
+09 takes the whole choice, the others the part that concerns them: the experiment (01), the paper's dictionary and the
+way to the field (02), the windows (03), the reading (06). The studies 05 and 07 vary the data and need enough of
+them; on a recording other than the paper's they run at the small size of params/smoke.yaml.
 """
 
 import math
+import re
 from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
 
 from tras import readings
+from tras.files import project_root, replacing
+from tras.grid import FREQUENCY
+from tras.parameters import parse_yaml
 
+FIRST_LINE = "# Written by the explorer (notebooks/explore.ipynb)"
+RESERVED = ("paper", "smoke")  # profiles of the project itself
 SHARED = ("input", "frequency_unit", "state", "nrmse_range")  # fields whose choices are those of a reading
 # field -> choices, the default first, each with what it means
 OPTIONS = {name: readings.OPTIONS[name][1] for name in SHARED} | {
@@ -68,7 +80,7 @@ SIZES = {
 
 
 class ChoiceError(ValueError):
-    """A choice that cannot be made, or that gives no model."""
+    """A choice that cannot be made, gives no model, or has no name for its file."""
 
 
 @dataclass(frozen=True)
@@ -189,3 +201,84 @@ EXAMPLES = {
     "two angles and one delay": Choice(state="delayed_angles", delays=1),
     "functions for mechanics, 1 % noise": Choice(**_MECHANICAL, noise=1.0),
 }
+
+
+def parameter_sections(choice, small=None):
+    """What the choice means for each notebook.
+
+    Parameters
+    ----------
+    choice : Choice
+    small : dict, optional
+        Parameters of the studies 05 and 07 for recordings other than the paper's, notebook -> parameters.
+
+    Returns
+    -------
+    dict
+        Notebook -> {parameter: value}; the notebook's own value holds for what is left out.
+    """
+    paper, factor = Choice(), FREQUENCY[choice.frequency_unit]
+    notebooks = {
+        "01_data_generation": {
+            "duration": choice.duration, "sampling_time": choice.sampling_time, "train_seed": choice.seed,
+            "validation_seeds": [choice.seed + k for k in (1, 2, 3, 4)],
+            "pitch_max_frequency": 0.2 * factor, "yaw_max_frequency": 0.8 * factor,
+            "short_duration": min(120.0, choice.duration),
+        },
+        "02_identification": {"field": choice.field},
+        "03_validation": {"window": choice.horizon, "free_run": choice.duration},
+        "06_readings": {
+            "default": choice.reading().model_dump(), "duration": choice.duration,
+            "sampling_time": choice.sampling_time, "window": choice.horizon,
+        },
+        "09_pictures": {"choice": choice.as_dict()},
+    }  # fmt: skip
+    if choice.dictionary == "gaussian":
+        gaussians = {"rbf_centres": choice.size, "rbf_width": choice.width, "rbf_seed": choice.seed - 1}
+        notebooks["02_identification"] |= gaussians
+    if any(getattr(choice, name) != getattr(paper, name) for name in ("duration", "sampling_time", "frequency_unit")):
+        notebooks |= {name: section | notebooks.get(name, {}) for name, section in (small or {}).items()}
+    return dict(sorted(notebooks.items()))
+
+
+def parameter_text(choice, name, small=None):
+    """The file: YAML that `tras.parameters` reads."""
+    import yaml
+
+    body = yaml.safe_dump(parameter_sections(choice, small), sort_keys=False, allow_unicode=True)
+    return f"{FIRST_LINE}: make all PROFILE={name} runs it.\n\n{body}"
+
+
+def write_parameters(choice, name, folder=None):
+    """Write ``params/NAME.yaml``.
+
+    Parameters
+    ----------
+    choice : Choice
+    name : str
+        Letters, digits, ``-`` and ``_``.
+    folder : str or Path, optional
+        By default ``params/`` of the project.
+
+    Returns
+    -------
+    pathlib.Path
+
+    Raises
+    ------
+    ChoiceError
+        (a ValueError) If the name has other characters, is one of the project's own, or belongs to a file that the
+        explorer has not written.
+    """
+    folder = Path(folder or project_root() / "params")
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
+        raise ChoiceError(f"NAME is {name!r}: give letters, digits, - and _, beginning with a letter or digit.")
+    path = folder / f"{name}.yaml"
+    if name in RESERVED or (path.exists() and not path.read_text(encoding="utf-8").startswith(FIRST_LINE)):
+        raise ChoiceError(f"NAME is {name!r}, and {path.name} is not the explorer's: choose another name.")
+    smoke = project_root() / "params" / "smoke.yaml"
+    parameters = parse_yaml(smoke.read_text(encoding="utf-8"), smoke)
+    small = {study: parameters[study] for study in ("05_robustness", "06_readings", "07_comparison")}
+    with replacing(path) as temporary:
+        temporary.write_text(parameter_text(choice, name, small), encoding="utf-8")
+    return path

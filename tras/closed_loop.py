@@ -124,19 +124,15 @@ def simulate_closed_loops(references, dt, parameters=None, *, controllers=None, 
     ----------
     references : (runs, samples, 2) or (samples, 2) array_like
         Pitch and yaw reference in rad; a single one serves every run.
-    dt : float
-        Sampling time in s.
     parameters : PlantParameters or sequence of them, optional
         One rig for all, or one per run.
     controllers : (PID, PID), optional
         Pitch and yaw, for every run; default `PID.defaults` of the one rig, or of the rigs' mean parameters if there
         are several: the loop was tuned before anyone knew which rig it would be.
     x0 : (4,) or (runs, 4) array_like, optional
-        Initial states; then the integrators start empty. Default: at rest on the first reference, integrators balanced.
-    step : float
-        Longest integration step in s.
-    attributes : dict, optional
-        Goes into the recording.
+        Initial states, one for all or one per run.
+    dt, step, attributes
+        As for `simulate_closed_loop`.
 
     Returns
     -------

@@ -106,7 +106,7 @@ def departures(ranking, default):
 
 
 def chance(ranking, within, rng, *, among=None, draws=2000):
-    """Share of random pairs of numbers with a reading as near as ``within``: the weight of the paper's pair having one.
+    """Share of random pairs of numbers with a reading as near as ``within``: if it is large, nearness means little.
 
     Parameters
     ----------

@@ -55,9 +55,7 @@ def multisine(duration, dt, max_frequency, peak, rng, *, max_correlation=0.05, d
     samples, rng = grid(duration, dt), _generator(rng)
     max_frequency, peak = np.atleast_1d(max_frequency), np.atleast_1d(peak)
     if max_frequency.shape != peak.shape:
-        raise ValueError(
-            f"max_frequency has {max_frequency.size} channels but peak has {peak.size}; give one of each per channel."
-        )
+        raise ValueError(f"max_frequency has {max_frequency.size} channels, peak {peak.size}; give as many of each.")
     lines = [multisine_lines(duration, dt, top) for top in max_frequency]
     points = min(samples - 1, 16 * max(lines))  # enough to judge crest factors; correlations are exact on it
     channels = []
@@ -87,9 +85,8 @@ def multisine_lines(duration, dt, max_frequency):
             f"{2 * math.pi / duration:.4g} rad/s; raise it or the duration."
         )
     if 2 * lines >= grid(duration, dt) - 1:
-        raise ValueError(
-            f"max_frequency = {max_frequency} rad/s is not below pi / dt = {math.pi / dt:.4g} rad/s; lower it or dt."
-        )
+        nyquist = f"pi / dt = {math.pi / dt:.4g} rad/s"
+        raise ValueError(f"max_frequency = {max_frequency} rad/s is not below {nyquist}; lower it or dt.")
     return lines
 
 
@@ -127,9 +124,7 @@ def grid(duration, dt):
             raise ValueError(f"{name} is {value}; give a positive time in s.")
     intervals = round(duration / dt)
     if intervals < 1 or abs(intervals * dt - duration) > 1e-9 * duration:
-        raise ValueError(
-            f"duration = {duration} s is not a whole number of samples of dt = {dt} s; change one of them."
-        )
+        raise ValueError(f"duration = {duration} s is not a whole number of samples of dt = {dt} s; change either.")
     return intervals + 1
 
 
@@ -137,9 +132,7 @@ def _generator(rng):
     try:
         return np.random.default_rng(rng)
     except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"rng is {rng!r}; give a numpy.random.Generator or a seed, an integer of 0 or more."
-        ) from error
+        raise ValueError(f"rng is {rng!r}; give a numpy.random.Generator or a seed of 0 or more.") from error
 
 
 def _cosines(phases, points):

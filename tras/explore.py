@@ -35,8 +35,7 @@ class Outcome:
     model, linear : KoopmanModel
         The chosen model, and one of degree 1 by least squares from the same data (None if the data give none).
     metrics : pandas.DataFrame
-        Rows "Koopman", "linear", "paper" per angle: ``model, angle, nrmse`` (%), ``enr, bfr`` (%), ``windows``,
-        ``diverged``.
+        ``model`` ("Koopman", "linear", "paper"), ``angle, nrmse`` (%), ``enr, bfr`` (%), ``windows, diverged``.
     overlay : pandas.DataFrame
         The typical window: ``time`` (s) and in rad ``phi_true, phi_koopman, phi_linear`` and the same for ``psi``.
     growth : pandas.DataFrame
@@ -99,17 +98,9 @@ def explore(choice):
         growth.append(validation.growth_of(fresh, predicted[name], every=max(1, fresh.states.shape[1] // 120)).assign(model=name))
         spectrum.append(pd.DataFrame({"model": name, "real": each.eigenvalues.real, "imag": each.eigenvalues.imag}))
     typical = validation.typical_of(fresh, predicted["Koopman"])
-    return Outcome(
-        choice=choice,
-        model=model,
-        linear=linear,
-        metrics=pd.DataFrame(metrics + _papers()),
-        overlay=_overlay(fresh, predicted, typical),
-        growth=pd.concat(growth, ignore_index=True),
-        spectrum=pd.concat(spectrum, ignore_index=True),
-        window=fresh[typical],
-        remarks=(*_remarks(model, metrics), *absent),
-    )
+    tables = (pd.DataFrame(metrics + _papers()), _overlay(fresh, predicted, typical))
+    tables += tuple(pd.concat(frames, ignore_index=True) for frames in (growth, spectrum))
+    return Outcome(choice, model, linear, *tables, fresh[typical], (*_remarks(model, metrics), *absent))
 
 
 def numbers(outcome):
@@ -118,16 +109,15 @@ def numbers(outcome):
     Returns
     -------
     pandas.DataFrame
-        Rows: NRMSE, Enr, BFR of yaw and pitch, and predictions that ran away; columns ``Koopman, linear, paper``; cells
-        are text.
+        Text: rows NRMSE, Enr, BFR of yaw and pitch, and predictions that ran away; columns ``Koopman, linear, paper``.
     """
     rows = {}
-    for label, column, digits in (("NRMSE (%)", "nrmse", 4), ("Enr", "enr", 4), ("BFR (%)", "bfr", 4)):
+    for label, column in (("NRMSE (%)", "nrmse"), ("Enr", "enr"), ("BFR (%)", "bfr")):
         for angle in validation.ANGLES:
             cells = rows[f"{label}, {angle}"] = {}
             for _, row in outcome.metrics[outcome.metrics["angle"] == angle].iterrows():
                 missing = "none left" if row["windows"] > 0 else ""
-                cells[row["model"]] = f"{row[column]:.{digits}g}" if np.isfinite(row[column]) else missing
+                cells[row["model"]] = f"{row[column]:.4g}" if np.isfinite(row[column]) else missing
     judged = outcome.metrics.query("angle == 'yaw' and windows > 0")
     rows["ran away"] = {row["model"]: f"{row['diverged']:g} of {row['windows']:g}" for _, row in judged.iterrows()}
     table = pd.DataFrame.from_dict(rows, orient="index").reindex(columns=["Koopman", "linear", "paper"]).fillna("")
@@ -204,15 +194,11 @@ def unfitted(choice):
         "mechanical": lambda: Mechanical(size),
     }
     plain = choice.regularization == "none"
+    regularization, strength = (None, 0.0) if plain else (choice.regularization, choice.strength)
     return KoopmanModel(
-        dictionaries[choice.dictionary](),
-        choice.predictor,
-        choice.delays,
-        field=choice.field,
-        extrapolation=choice.extrapolation,
-        regularization=None if plain else choice.regularization,
-        strength=0.0 if plain else float(choice.strength),
-    )
+        dictionaries[choice.dictionary](), choice.predictor, choice.delays, field=choice.field,
+        regularization=regularization, strength=float(strength), extrapolation=choice.extrapolation,
+    )  # fmt: skip
 
 
 def _channels(whole, choice):
@@ -232,9 +218,7 @@ def _cut(whole, least, name, seconds):
 def _samples(name, seconds, dt):
     samples = round(seconds / dt)
     if samples < 1 or abs(samples * dt - seconds) > 1e-9 * seconds:
-        raise ChoiceError(
-            f"{name} is {seconds:g} s, no whole number of samples of {dt:g} s: change it, or sampling_time."
-        )
+        raise ChoiceError(f"{name} is {seconds:g} s, no whole number of samples of {dt:g} s: change either of them.")
     return samples
 
 

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from tras.figures import LINEAR, MODEL, TRUTH, new_figure, require, styled
 
+_ANGLES = {"pitch": "phi", "yaw": "psi"}
 _ROLES = {"koopman": MODEL | {"label": "Koopman"}, "linear": LINEAR | {"label": "linear model"}}
 
 
@@ -38,8 +39,8 @@ def outcome_figure(overlay, growth, spectrum):
     figure = Figure(figsize=(7.2, 3.9))
     layout = {"left": 0.08, "right": 0.985, "bottom": 0.115, "top": 0.9, "hspace": 0.48, "wspace": 0.24}
     (yaw, error), (pitch, plane) = figure.subplots(2, 2, gridspec_kw=layout)  # to compute it takes longer than the fit
-    for panel, angle, label in ((yaw, "psi", r"yaw $\psi$ (rad)"), (pitch, "phi", r"pitch $\phi$ (rad)")):
-        _overlay_panel(panel, overlay, angle, label)
+    _overlay_panel(yaw, overlay, "psi", r"yaw $\psi$ (rad)")
+    _overlay_panel(pitch, overlay, "phi", r"pitch $\phi$ (rad)")
     _error_panel(error, growth)
     _spectrum_panel(plane, spectrum)
     figure.legend(*yaw.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(0.07, 0.995), ncols=3)
@@ -83,13 +84,10 @@ def _error_panel(panel, growth):
 def _spectrum_panel(panel, spectrum):
     circle = np.linspace(0, 2 * np.pi, 2001)
     panel.plot(np.cos(circle), np.sin(circle), color="0.6", linestyle="-", linewidth=0.7)
-    markers = {
-        "Koopman": {"marker": "o", "markerfacecolor": "none", "markersize": 5},
-        "linear": {"marker": "x", "markersize": 4},
-    }
+    circles, crosses = {"marker": "o", "markerfacecolor": "none", "markersize": 5}, {"marker": "x", "markersize": 4}
     for name, group in spectrum.groupby("model", sort=False):
-        colour = _ROLES[name.lower()]["color"]
-        panel.plot(group["real"], group["imag"], linestyle="none", color=colour, **markers[name])
+        look = {"color": _ROLES[name.lower()]["color"], **(crosses if name == "linear" else circles)}
+        panel.plot(group["real"], group["imag"], linestyle="none", **look)
     left, right = min(spectrum["real"].min(), 1), max(spectrum["real"].max(), 1)
     reach = max(1.25 * spectrum["imag"].abs().max(), 0.6 * (right - left), 1e-3)
     side = 0.08 * (right - left) + 0.25 * reach
@@ -112,15 +110,12 @@ def portrait_figure(table):
     """
     require(table, "table", ["model", "plane", "angle", "rate", "d_angle", "d_rate", "error"])
     names = list(dict.fromkeys(table["model"]))
-    planes = {
-        "pitch": (r"pitch $\phi$ (rad)", r"$\dot\phi$ (rad/s)"),
-        "yaw": (r"yaw $\psi$ (rad)", r"$\dot\psi$ (rad/s)"),
-    }
+    labels = {plane: (rf"{plane} $\{angle}$ (rad)", rf"$\dot\{angle}$ (rad/s)") for plane, angle in _ANGLES.items()}
     figure, axes = new_figure(height=3.5, rows=2, columns=len(names), squeeze=False, sharex="row", sharey="row")
     errors = table["error"][table["model"] != "true"]
     norm = LogNorm(max(errors.quantile(0.02), 1e-6), max(errors.max(), 2e-6)) if len(errors) else None
     mesh = None
-    for row, (plane, (across, up)) in zip(axes, planes.items()):
+    for row, (plane, (across, up)) in zip(axes, labels.items()):
         for panel, name in zip(row, names):
             cells = table[(table["model"] == name) & (table["plane"] == plane)]
             mesh = _portrait_panel(panel, cells, norm if name != "true" else None) or mesh

@@ -46,8 +46,7 @@ class PlantParameters:
     Raises
     ------
     ValueError
-        If a value is not finite, an inertia is not positive, a friction or stiffness is negative, or limits are in the
-        wrong order.
+        If a value is not finite, an inertia not positive, a friction or stiffness negative, or limits are reversed.
 
     Examples
     --------
@@ -161,9 +160,7 @@ def torque_limits(name, limits):
     except (TypeError, ValueError):
         low = high = math.nan
     if not (low < high and math.isfinite(high - low)):
-        raise ValueError(
-            f"{name} is {limits!r}; give (lowest, highest), two finite torques in N m, the lower one first."
-        )
+        raise ValueError(f"{name} is {limits!r}; give (lowest, highest), two finite torques in N m.")
     return low, high
 
 
@@ -248,15 +245,12 @@ def rest_point(parameters, torques=(0.0, 0.0)):
     Raises
     ------
     ValueError
-        If ``u_phi`` exceeds what gravity can balance, there is no gravity torque, or ``u_psi`` is not zero on a rig
-        without a yaw spring.
+        If gravity cannot balance ``u_phi``, or ``u_psi`` is not zero on a rig without a yaw spring.
     """
     u_phi, u_psi = _array("torques", torques, 2).tolist()
     gravity = math.hypot(parameters.G_c, parameters.G_s)
     if gravity == 0:
-        raise ValueError(
-            "G_c and G_s are both 0, so no pitch angle is more at rest than another; give the rig a gravity torque."
-        )
+        raise ValueError("G_c and G_s are both 0, so no pitch angle is the rest point; give the rig a gravity torque.")
     if abs(u_phi) > gravity:
         raise ValueError(f"u_phi = {u_phi} N m has no rest point: gravity balances at most {gravity:.6g} N m.")
     if parameters.K_psi == 0 and u_psi != 0:
@@ -335,8 +329,7 @@ def stepper(parameters, dt, *, step=0.01, functions=math):
     Raises
     ------
     ValueError
-        If ``dt`` or ``step`` is not positive; by ``advance``, if the rig gets faster than 1000 rad/s or a number
-        becomes infinite.
+        If ``dt`` or ``step`` is not positive; by ``advance``, if the rig gets faster than 1000 rad/s.
     """
     for name, value in (("dt", dt), ("step", step)):
         if not (math.isfinite(value) and value > 0):

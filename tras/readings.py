@@ -211,16 +211,6 @@ def read_yaml(path, *sections):
         raise ReadingError(f"{path}: {error}") from None
 
 
-def write_yaml(readings, path):
-    """Write one line per option, with all its choices in a comment; `read_yaml` reads the file back."""
-    from tras.files import replacing
-
-    lines = ["# One choice per point that the paper leaves open; docs/paper.md says what they mean."]
-    lines += [f'{option}: "{choice}"  # {" | ".join(choices(option))}' for option, choice in readings]
-    with replacing(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
 def _sentence(problem, values):
     """pydantic's first error as one sentence for the person who made the mistake."""
     option = str(problem["loc"][0])

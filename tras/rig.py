@@ -32,28 +32,21 @@ from scipy.spatial import ConvexHull
 # Solid part -> (colour, smooth?). Smooth parts are round and show no edges along their sides. The colours differ in
 # lightness as well as in hue, so the rotors differ in grey too.
 SOLIDS = {
-    "base": ("#d9d9d9", True),
-    "pillar": ("#c4c4c4", True),
-    "fork": ("#c4c4c4", False),
-    "left_ear": ("#c4c4c4", False),
-    "right_ear": ("#c4c4c4", False),
-    "hub": ("#8c8c8c", True),
-    "left_axle": ("#8c8c8c", True),
-    "right_axle": ("#8c8c8c", True),
-    "left_stub": ("#8c8c8c", True),
-    "right_stub": ("#8c8c8c", True),
-    "main_arm": ("#e8dfc8", False),
-    "tail_arm": ("#e8dfc8", False),
-    "left_lever": ("#e8dfc8", False),
-    "right_lever": ("#e8dfc8", False),
-    "left_weight": ("#6f6f6f", True),
-    "right_weight": ("#6f6f6f", True),
-    "main_motor": ("#8c8c8c", True),
-    "tail_motor": ("#8c8c8c", True),
-    "main_rotor": ("#7fb8dc", True),
-    "tail_rotor": ("#f0b86e", True),
-    "main_blades": ("#0b3c5d", False),
-    "tail_blades": ("#7a3d00", False),
+    name: (colour, smooth)
+    for colour, smooth, names in (
+        ("#d9d9d9", True, "base"),
+        ("#c4c4c4", True, "pillar"),
+        ("#c4c4c4", False, "fork left_ear right_ear"),
+        ("#8c8c8c", True, "hub left_axle right_axle left_stub right_stub"),
+        ("#e8dfc8", False, "main_arm tail_arm left_lever right_lever"),
+        ("#6f6f6f", True, "left_weight right_weight"),
+        ("#8c8c8c", True, "main_motor tail_motor"),
+        ("#7fb8dc", True, "main_rotor"),
+        ("#f0b86e", True, "tail_rotor"),
+        ("#0b3c5d", False, "main_blades"),
+        ("#7a3d00", False, "tail_blades"),
+    )
+    for name in names.split()
 }
 STATIC = ("base", "pillar")  # neither angle moves these parts: an overlaid second rig need not repeat them
 ROTORS = ("main_rotor", "tail_rotor")  # the discs that the blades sweep, drawn translucent

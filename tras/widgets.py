@@ -8,8 +8,7 @@ import time
 
 import ipywidgets
 
-from tras import profile
-from tras.choice import EXAMPLES, OPTIONS, SIZES, Choice, ChoiceError
+from tras.choice import EXAMPLES, OPTIONS, SIZES, Choice, ChoiceError, write_parameters
 from tras.explore import explore, numbers
 from tras.figures_explore import outcome_figure, png
 
@@ -127,8 +126,7 @@ class Explorer:
         low, high, common, meaning = SIZES[self.controls["dictionary"].value]
         size = self.controls["size"]
         value = common if usual else min(max(size.value, low), high)
-        # The value stays inside the range at every moment: else the browser would correct it, and the correction would
-        # come back as a choice.
+        # The value stays inside the range at every moment: a correction by the browser would come back as a choice.
         for name, new in (("value", value), ("max", high)) if value <= size.max else (("max", high), ("value", value)):
             setattr(size, name, new)
         size.tooltip = meaning
@@ -138,18 +136,16 @@ class Explorer:
         values = {name: control.value for name, control in self.controls.items()}
         nonlinear = values["dictionary"] != "linear"
         effective = {
-            "size": nonlinear,
-            "width": values["dictionary"] == "gaussian",
-            "field": values["predictor"] == "vector_field",
-            "strength": values["regularization"] != "none",
+            "size": nonlinear, "width": values["dictionary"] == "gaussian",
+            "field": values["predictor"] == "vector_field", "strength": values["regularization"] != "none",
             "extrapolation": nonlinear and values["predictor"] != "lifted_linear",
-        }
+        }  # fmt: skip
         for name, enabled in effective.items():
             self.controls[name].disabled = not enabled
 
     def _write(self, _):
         try:
-            path = profile.write(self.choice, self.name.value, self.folder)
+            path = write_parameters(self.choice, self.name.value, self.folder)
         except (ValueError, OSError) as error:
             self.answer.value = _note(str(error), "#b00020")
         else:
