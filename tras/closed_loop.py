@@ -11,7 +11,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from tras.plant import STATE_NAMES, STATE_UNITS, TORQUE_NAMES, TORQUE_UNITS, PlantParameters, stepper, torque_limits
+from tras.plant import LUMPED, STATE_NAMES, STATE_UNITS, TORQUE_NAMES, TORQUE_UNITS
+from tras.plant import PlantParameters, stepper, torque_limits
 from tras.recording import Recording, versions
 
 REFERENCE_NAMES = ("phi_ref", "psi_ref")
@@ -287,7 +288,7 @@ def _stacked(rigs):
     """One rig as it is; several as one whose parameters are arrays, for `tras.plant.stepper`."""
     if len(rigs) == 1:
         return rigs[0]
-    arrays = {name: np.array([getattr(rig, name) for rig in rigs]) for name in _numbers(rigs[0])}
+    arrays = {name: np.array([getattr(rig, name) for rig in rigs]) for name in LUMPED}
     return SimpleNamespace(velocity_term=rigs[0].velocity_term, **arrays)
 
 
@@ -295,13 +296,8 @@ def _mean(rigs):
     """The rig of the mean parameters, with the first one's limits."""
     if len(rigs) == 1:
         return rigs[0]
-    means = {name: math.fsum(getattr(rig, name) for rig in rigs) / len(rigs) for name in _numbers(rigs[0])}
+    means = {name: math.fsum(getattr(rig, name) for rig in rigs) / len(rigs) for name in LUMPED}
     return PlantParameters(**means, u_phi_limits=rigs[0].u_phi_limits, u_psi_limits=rigs[0].u_psi_limits)
-
-
-def _numbers(rig):
-    """Names of the parameters that are numbers: no limits, no velocity term."""
-    return [name for name, value in rig.as_dict().items() if isinstance(value, (int, float))]
 
 
 def _one_or_all(values):

@@ -55,7 +55,8 @@ def multisine(duration, dt, max_frequency, peak, rng, *, max_correlation=0.05, d
     samples, rng = grid(duration, dt), _generator(rng)
     max_frequency, peak = np.atleast_1d(max_frequency), np.atleast_1d(peak)
     if max_frequency.shape != peak.shape:
-        raise ValueError(f"max_frequency has {max_frequency.size} channels, peak {peak.size}; give as many of each.")
+        sizes = f"max_frequency has {max_frequency.size} channels but peak has {peak.size}"
+        raise ValueError(f"{sizes}; give one of each per channel.")
     lines = [multisine_lines(duration, dt, top) for top in max_frequency]
     points = min(samples - 1, 16 * max(lines))  # enough to judge crest factors; correlations are exact on it
     channels = []
