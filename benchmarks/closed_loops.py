@@ -11,7 +11,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np  # noqa: E402
 
-from tras import monte_carlo  # noqa: E402
+from tras import closed_loop  # noqa: E402
 
 SAMPLES = 601
 
@@ -22,10 +22,10 @@ def references(runs):
     return np.sin([0.9, 0.7] * time + phases) * rng.uniform(0.2, 1.2, (runs, 1, 2))
 
 
-def seconds(wanted, together):
-    monte_carlo.TOGETHER = 1 if together else len(wanted) + 1
+def seconds(signals, together):
+    closed_loop.BATCH = 1 if together else len(signals) + 1
     start = time.process_time()
-    monte_carlo.simulate_closed_loops(wanted, 0.01)
+    closed_loop.simulate_closed_loops(signals, 0.01)
     return time.process_time() - start
 
 

@@ -13,7 +13,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tras import choice, explore, figures_explore, parameters, profile, readings
+from tras import choice, explore, figures_explore, parameters, readings
 from tras.choice import Choice, ChoiceError
 from tras.widgets import Explorer
 
@@ -99,7 +99,7 @@ def test_the_papers_choice_has_the_published_numbers():
 def test_every_dictionary_with_every_predictor(dictionary, predictor, state):
     """A model as large as was counted beforehand, or a sentence."""
     usual = choice.SIZES[dictionary][2]
-    chosen = SMALL.replaced(dictionary=dictionary, size=usual, predictor=predictor, state=state, delays=int(state == "angles"), field="coordinates")
+    chosen = SMALL.replaced(dictionary=dictionary, size=usual, predictor=predictor, state=state, delays=int(state == "delayed_angles"), field="coordinates")
     try:
         model = explore.explore(chosen).model
     except ChoiceError as error:
@@ -196,12 +196,13 @@ any_choice = st.builds(
 @given(any_choice)
 def test_a_file_holds_the_whole_choice_and_every_notebook_accepts_its_part(chosen):
     smoke = yaml.safe_load((ROOT / "params" / "smoke.yaml").read_text())
-    content = parameters.parse_yaml(profile.text(chosen, "mine", {name: smoke[name] for name in ("05_robustness", "07_comparison")}), "mine.yaml")
+    content = parameters.parse_yaml(choice.parameter_text(chosen, "mine", {name: smoke[name] for name in ("05_robustness", "07_comparison")}), "mine.yaml")
     assert choice.choice_of(content["09_pictures"]["choice"]) == chosen
     for name, section in content.items():
         parameters.check_parameters(section, DEFAULTS[name], name)
     read = readings.Readings(**content["06_readings"]["default"])
     assert (read.input, read.frequency_unit, read.nrmse_range) == (chosen.input, chosen.frequency_unit, chosen.nrmse_range)
+    assert read.state == chosen.state
     assert content["01_data_generation"]["train_seed"] == chosen.seed
 
 
@@ -209,37 +210,44 @@ DEFAULTS = {path.stem: parameters.notebook_defaults(path) for path in (ROOT / "n
 
 
 def test_the_papers_choice_changes_nothing_of_the_papers_parameters():
-    for name, section in profile.sections(Choice(), {"05_robustness": {"swings": 1}}).items():
+    for name, section in choice.parameter_sections(Choice(), {"05_robustness": {"swings": 1}}).items():
         if name != "09_pictures":
             assert section == {parameter: DEFAULTS[name][parameter] for parameter in section}
-    assert "05_robustness" not in profile.sections(Choice(), {"05_robustness": {"swings": 1}})
+    assert "05_robustness" not in choice.parameter_sections(Choice(), {"05_robustness": {"swings": 1}})
 
 
 def test_another_experiment_takes_the_small_studies():
-    assert profile.sections(SMALL, {"05_robustness": {"swings": 1}})["05_robustness"] == {"swings": 1}
-    assert profile.sections(Choice(frequency_unit="Hz"))["01_data_generation"]["yaw_max_frequency"] == pytest.approx(1.6 * np.pi)
+    assert choice.parameter_sections(SMALL, {"05_robustness": {"swings": 1}})["05_robustness"] == {"swings": 1}
+    assert choice.parameter_sections(Choice(frequency_unit="Hz"))["01_data_generation"]["yaw_max_frequency"] == pytest.approx(1.6 * np.pi)
 
 
 def test_a_reading_is_named_where_it_has_a_name():
-    assert profile.reading(Choice(dictionary="monomials", size=3)).dictionary == "monomials3"
-    assert profile.reading(Choice(state="angles", delays=1)).state == "delayed_angles"
-    assert profile.reading(Choice(dictionary="gaussian", size=5)) == readings.Readings()
+    assert Choice(dictionary="monomials", size=3).reading().dictionary == "monomials3"
+    assert Choice(dictionary="monomials", size=4).reading().dictionary == "gaussian"
+    assert Choice(dictionary="gaussian", size=28).reading().dictionary == "gaussian28"
+    assert Choice(dictionary="exponentials", size=2).reading().dictionary == "exponentials"
+    assert Choice(state="delayed_angles", delays=1).reading().state == "delayed_angles"
+    assert Choice(dictionary="gaussian", size=5).reading() == readings.Readings()
+
+
+def test_a_file_with_the_explorers_former_word_is_still_read():
+    assert choice.choice_of({"state": "angles", "delays": 2}) == Choice(state="delayed_angles", delays=2)
 
 
 @pytest.mark.parametrize("name", ["paper", "smoke", "", "../mine", "a b", "mine.yaml"])
 def test_names_that_no_profile_can_have(name, tmp_path):
-    with pytest.raises(profile.ProfileError, match="NAME is"):
-        profile.write(Choice(), name, tmp_path)
+    with pytest.raises(ChoiceError, match="NAME is"):
+        choice.write_parameters(Choice(), name, tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_of_somebody_else_is_kept_and_ones_own_replaced(tmp_path):
     (tmp_path / "mine.yaml").write_text("01_data_generation: {duration: 1.0}\n")
-    with pytest.raises(profile.ProfileError, match="mine.yaml is not the explorer's"):
-        profile.write(Choice(), "mine", tmp_path)
+    with pytest.raises(ChoiceError, match="mine.yaml is not the explorer's"):
+        choice.write_parameters(Choice(), "mine", tmp_path)
     assert "duration: 1.0}" in (tmp_path / "mine.yaml").read_text()
-    profile.write(Choice(), "other", tmp_path)
-    profile.write(SMALL, "other", tmp_path)
+    choice.write_parameters(Choice(), "other", tmp_path)
+    choice.write_parameters(SMALL, "other", tmp_path)
     assert "duration: 60.0" in (tmp_path / "other.yaml").read_text()
 
 
@@ -308,10 +316,10 @@ def test_the_button_writes_the_choice(panel):
     panel.set(SMALL)
     panel.name.value = "paper"
     panel.button.click()
-    assert "choose another name" in words(panel.said)
+    assert "choose another name" in words(panel.answer)
     panel.name.value = "own-1"
     panel.button.click()
-    assert words(panel.said) == "own-1.yaml is written: make all PROFILE=own-1"
+    assert words(panel.answer) == "own-1.yaml is written: make all PROFILE=own-1"
     assert choice.choice_of(yaml.safe_load((panel.folder / "own-1.yaml").read_text())["09_pictures"]["choice"]) == SMALL
 
 

@@ -24,7 +24,7 @@ _ROOMS = {
     "remarks": "formats",
     "PID": "closed_loop",
     "simulate_closed_loop": "closed_loop",
-    "simulate_closed_loops": "monte_carlo",
+    "simulate_closed_loops": "closed_loop",
     "Monomials": "dictionary",
     "Exponentials": "dictionary",
     "Fourier": "dictionary",

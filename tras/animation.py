@@ -1,13 +1,13 @@
-"""The rig in motion: the truth, the prediction as a ghost, and both angles below. Drawn by the same code as Fig. 1 (`tras.rig`).
+"""The rig in motion: the truth, the prediction as a ghost, and both angles below. `tras.rig` draws it, as in Fig. 1.
 
-A `film` is a table of both motions; `gif` writes it as a file with the same bytes each time, `movie` gives the animation for a notebook.
+A `film` is a table of both motions; `gif` writes it to a file with the same bytes each time, `movie` returns the
+animation for a notebook.
 """
 
 import io
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from matplotlib.animation import FuncAnimation
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -24,19 +24,19 @@ COLOURS = 40  # of the GIF's one palette
 
 
 def film(overlay, *, rate=10.0):
-    """The frames of an animation, out of a table of samples.
+    """The frames of an animation, from a table of samples.
 
     Parameters
     ----------
     overlay : pandas.DataFrame
-        `COLUMNS`: ``time`` in s, angles in rad, such as `tras.validation.overlay` gives it.
+        `COLUMNS`: ``time`` in s, angles in rad, for example from `tras.validation.overlay`.
     rate : float
-        Frames a second; time runs as it does in the table.
+        Frames per second; the film runs in real time.
 
     Returns
     -------
     pandas.DataFrame
-        The same columns at the samples nearest to the frames' times. A prediction that is NaN from some instant on stays NaN: it ran away.
+        The same columns at the samples nearest to the frames' times. A prediction that diverged stays NaN from then on.
 
     Raises
     ------
@@ -45,24 +45,24 @@ def film(overlay, *, rate=10.0):
     """
     require(overlay, "overlay", COLUMNS)
     if not (np.isfinite(rate) and rate > 0):
-        raise ValueError(f"rate is {rate!r}; give frames a second, for example 10.")
+        raise ValueError(f"rate is {rate!r}; give frames per second, for example 10.")
     if not np.isfinite(overlay[COLUMNS[:3]].to_numpy()).all():
         raise ValueError("overlay holds NaN or infinity in the truth or the time; leave those samples out.")
     time = overlay["time"].to_numpy()
-    wanted = np.arange(time[0], time[-1] + 0.5 / rate, 1 / rate)
-    nearest = np.unique(np.abs(time[:, None] - wanted).argmin(axis=0))
+    frames = np.arange(time[0], time[-1] + 0.5 / rate, 1 / rate)
+    nearest = np.unique(np.abs(time[:, None] - frames).argmin(axis=0))
     return overlay[COLUMNS].iloc[nearest].reset_index(drop=True)
 
 
 class Scene:
-    """The picture that moves: what stands still is drawn once, `show` draws one instant.
+    """The moving picture: it draws the static parts once; `show` draws one instant.
 
     Parameters
     ----------
     table : pandas.DataFrame
         From `film`.
     label : str
-        What the ghost is called.
+        Name of the ghost in the legend.
     """
 
     @styled()
@@ -86,15 +86,15 @@ class Scene:
 
     @styled()
     def show(self, frame):
-        """Draw one instant, by its number in the table; returns the artists that moved."""
+        """Draw one instant by its number in the table; returns the artists that moved."""
         for artist in self._moving:
             artist.remove()
         row = self.table.iloc[frame]
         self._moving = []
         if np.isfinite([row["phi_koopman"], row["psi_koopman"]]).all():
             ghost = rig_geometry(float(row["phi_koopman"]), float(row["psi_koopman"]))
-            colours = dict.fromkeys(ghost["part"].unique(), GHOST)
-            self._moving += draw_rig(self.rig, ghost, parts=_moving_parts(ghost), alpha=0.35, colours=colours, edgecolor=MODEL["color"], zorder=3)
+            look = {"alpha": 0.35, "colours": dict.fromkeys(ghost["part"].unique(), GHOST), "edgecolor": MODEL["color"]}
+            self._moving += draw_rig(self.rig, ghost, parts=_moving_parts(ghost), zorder=3, **look)
         truth = rig_geometry(float(row["phi_true"]), float(row["psi_true"]))
         self._moving += draw_rig(self.rig, truth, parts=_moving_parts(truth), zorder=2)
         for panel, angle in zip(self.angles, ("psi", "phi")):
@@ -111,9 +111,9 @@ class Scene:
 
 
 def gif(table, path, *, label="Koopman model", rate=10.0, progress=None):
-    """Write a `film` as an animated GIF, forever repeated; the same film gives the same bytes on the same machine.
+    """Write a `film` as an animated GIF in a loop; the same film gives the same bytes on the same machine.
 
-    All frames share one palette, so that what stands still does not flicker and takes no room.
+    All frames share one palette, so the static parts do not flicker and take no space.
 
     Parameters
     ----------
@@ -122,11 +122,11 @@ def gif(table, path, *, label="Koopman model", rate=10.0, progress=None):
     path : str or Path
         Ends in ``.gif``.
     label : str
-        What the ghost is called.
+        Name of the ghost in the legend.
     rate : float
-        Frames a second, as given to `film`; GIF counts hundredths of a second, so 10, 12.5, 20 and 25 are exact.
+        Frames per second, as for `film`; GIF counts hundredths of a second, so 10, 12.5, 20 and 25 are exact.
     progress : text stream, optional
-        Where a progress bar goes, for example ``sys.stderr``; none without it.
+        Takes a progress bar, for example ``sys.stderr``.
 
     Returns
     -------
@@ -138,24 +138,25 @@ def gif(table, path, *, label="Koopman model", rate=10.0, progress=None):
     scene = Scene(table, label)
     numbers = tqdm(range(len(table)), desc="frames", file=progress, disable=progress is None)
     frames = [Image.fromarray(scene.pixels(k)) for k in numbers]
-    some = frames[:: max(1, len(frames) // 6)]
-    sheet = Image.new("RGB", (frames[0].width, frames[0].height * len(some)))
-    for k, frame in enumerate(some):
+    sample = frames[:: max(1, len(frames) // 6)]
+    sheet = Image.new("RGB", (frames[0].width, frames[0].height * len(sample)))
+    for k, frame in enumerate(sample):
         sheet.paste(frame, (0, k * frame.height))
     palette = sheet.quantize(COLOURS, method=Image.Quantize.MEDIANCUT)
     colours = np.array(palette.getpalette()).reshape(-1, 3)
-    colours[colours.min(axis=1) >= 250] = 255  # paper is white, not the mean of what is nearly white
+    colours[colours.min(axis=1) >= 250] = 255  # pure white, not the mean of nearly white colours
     palette.putpalette(colours.ravel().tolist())
     flat = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     with replacing(Path(path)) as temporary:
         target = io.BytesIO()
-        flat[0].save(target, format="GIF", save_all=True, append_images=flat[1:], duration=round(1000 / rate), loop=0, optimize=False)
+        options = {"duration": round(1000 / rate), "loop": 0, "optimize": False}
+        flat[0].save(target, format="GIF", save_all=True, append_images=flat[1:], **options)
         temporary.write_bytes(target.getvalue())
     return Path(path)
 
 
 def movie(table, *, label="Koopman model", rate=10.0):
-    """A `film` as a `matplotlib.animation.FuncAnimation`, for example for ``IPython.display.HTML(movie(...).to_jshtml())``."""
+    """A `film` as a `matplotlib.animation.FuncAnimation`, for ``IPython.display.HTML(movie(...).to_jshtml())``."""
     scene = Scene(table, label)
     return FuncAnimation(scene.figure, scene.show, frames=len(table), interval=1000 / rate, blit=False, repeat=True)
 
@@ -164,9 +165,10 @@ def _angle_panel(panel, table, angle, name):
     true, predicted = table[f"{angle}_true"], table[f"{angle}_koopman"]
     panel.plot(table["time"], predicted, **MODEL)
     panel.plot(table["time"], true, **TRUTH, zorder=3)
-    margin = max(np.ptp(true), 0.3)  # a prediction that runs away must not squeeze the truth to a line
+    margin = max(np.ptp(true), 0.3)  # a prediction that diverges must not squeeze the truth to a line
     low, high = panel.get_ylim()
-    panel.set(xlim=(table["time"].iloc[0], table["time"].iloc[-1]), ylim=(max(low, true.min() - margin), min(high, true.max() + margin)))
+    panel.set_xlim(table["time"].iloc[0], table["time"].iloc[-1])
+    panel.set_ylim(max(low, true.min() - margin), min(high, true.max() + margin))
     panel.set_ylabel(name, rotation=0, ha="left", va="bottom", labelpad=0)
     panel.yaxis.set_label_coords(0.0, 1.01)
 

@@ -28,38 +28,39 @@ def rig_figure(geometry):
     """
     require(geometry, "geometry", ["part", "point", "x", "y", "z"])
     figure, axes = _drawing_board(width=0.80, height=0.67, low=(-0.395, -0.43))
-    place = {name: project(part_points(geometry, name))[:, :2] for name in geometry["part"].unique()}
-    _rig_axes(axes, place, near=False)
+    parts = {name: project(part_points(geometry, name))[:, :2] for name in geometry["part"].unique()}
+    _rig_axes(axes, parts, near=False)
     draw_rig(axes, geometry)
-    _rig_axes(axes, place, near=True)
-    _rig_arrows(axes, place)
-    _rig_names(axes, place)
-    _rig_symbols(axes, place)
+    _rig_axes(axes, parts, near=True)
+    _rig_arrows(axes, parts)
+    _rig_names(axes, parts)
+    _rig_symbols(axes, parts)
     return figure
 
 
-def _rig_axes(axes, place, near):
-    """Pitch and yaw axis, dash-dotted as in engineering drawings; the far parts go under the rig, the near part over it."""
+def _rig_axes(axes, parts, near):
+    """Pitch and yaw axis, dash-dotted as in engineering drawings; the rig covers the far parts, not the near one."""
     line = {"color": "black", "linewidth": 0.6, "linestyle": (0, (9, 2, 2, 2)), "zorder": 4 if near else 1}
-    pitch = place["pitch_axis"]
-    for segment in [pitch[:2]] if near else [pitch[2:], place["yaw_axis"]]:
+    pitch = parts["pitch_axis"]
+    for segment in [pitch[:2]] if near else [pitch[2:], parts["yaw_axis"]]:
         axes.plot(*segment.T, **line)
 
 
-def _rig_arrows(axes, place):
+def _rig_arrows(axes, parts):
     """Angles from their zero line to the beam (thin), torques about their axes and the thrusts behind them (thick)."""
     thin = {"color": "black", "linewidth": 0.5, "zorder": 4}
-    for part, dashes in {"phi_zero": (0, (5, 2.5)), "beam_line": "-", "psi_zero": (0, (5, 2.5)), "psi_beam": "-"}.items():
-        axes.plot(*place[part].T, linestyle=dashes, **thin)
+    dashed = (0, (5, 2.5))
+    for part, style in {"phi_zero": dashed, "beam_line": "-", "psi_zero": dashed, "psi_beam": "-"}.items():
+        axes.plot(*parts[part].T, linestyle=style, **thin)
     for part, colour, width in [
         ("phi_arc", PITCH_COLOUR, 0.9), ("u_phi", PITCH_COLOUR, 1.5), ("main_thrust", PITCH_COLOUR, 1.5),
         ("psi_arc", YAW_COLOUR, 0.9), ("u_psi", YAW_COLOUR, 1.5), ("tail_thrust", YAW_COLOUR, 1.5),
     ]:
-        _curved_arrow(axes, place[part], colour, width)
+        _curved_arrow(axes, parts[part], colour, width)
 
 
 def _curved_arrow(axes, points, colour, width):
-    """A line along points (n, 2) whose head bends with it: tip at the last point, foot on the line."""
+    """A line along points (n, 2) with a head that bends with it: tip at the last point, foot on the line."""
     length = 0.012 + 0.005 * width
     along = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     foot = np.array([np.interp(along[-1] - length, along, column) for column in points.T])
@@ -69,39 +70,41 @@ def _curved_arrow(axes, points, colour, width):
     axes.add_patch(Polygon([points[-1], foot + across, foot - across], facecolor=colour, linewidth=0, zorder=5))
 
 
-def _rig_names(axes, place):
+def _rig_names(axes, parts):
     def name(text, text_at, *part_at, **options):
         axes.text(*text_at, text, zorder=6, **({"ha": "center", "va": "center", "fontsize": FORMULA} | options))
         for start, end in part_at:
             axes.plot(*np.transpose([start, end]), color="black", linewidth=0.45, linestyle="-", zorder=5.5)
 
-    middle = {part: points.mean(axis=0) for part, points in place.items()}
+    middle = {part: points.mean(axis=0) for part, points in parts.items()}
     arm, near, far = (middle[part] for part in ("main_arm", "right_weight", "left_weight"))
     name("main rotor, $m_m$", middle["main_rotor"] + (0.147, 0.05))
     name("tail rotor, $m_t$", middle["tail_rotor"] + (0.0, 0.083))
     name("beam", (0.052, 0.097), ((0.055, 0.083), arm + (-0.023, 0.0)))
     name(
         "counterweights,\neach of mass $m_{cw}$", far + (0.062, -0.004),
-        (far + (0.06, 0.008), far + (0.025, 0.005)), (far + (0.06, -0.022), near + (0.028, 0.0)), ha="left", linespacing=1.0,
+        (far + (0.06, 0.008), far + (0.025, 0.005)), (far + (0.06, -0.022), near + (0.028, 0.0)),
+        ha="left", linespacing=1.0,
     )
-    name("pitch axis", place["pitch_axis"][0] + (0.03, -0.02))
-    name("yaw axis", place["yaw_axis"][1] + (0.0, 0.015))
-    name("thrust", place["main_thrust"][1] + (0.045, 0.0))
-    name("thrust", place["tail_thrust"][1] + (-0.045, 0.0))
-    name("pitch $\\phi$ is positive with the main rotor up, yaw $\\psi$ anticlockwise from above", (0.005, -0.415), fontsize=7.5)
+    name("pitch axis", parts["pitch_axis"][0] + (0.03, -0.02))
+    name("yaw axis", parts["yaw_axis"][1] + (0.0, 0.015))
+    name("thrust", parts["main_thrust"][1] + (0.045, 0.0))
+    name("thrust", parts["tail_thrust"][1] + (-0.045, 0.0))
+    convention = "pitch $\\phi$ is positive with the main rotor up, yaw $\\psi$ anticlockwise from above"
+    name(convention, (0.005, -0.415), fontsize=7.5)
 
 
-def _rig_symbols(axes, place):
+def _rig_symbols(axes, parts):
     def symbol(text, at, colour="black", size=9):
         axes.text(*at, text, color=colour, fontsize=size, ha="center", va="center", zorder=6)
 
-    symbol(r"$\phi$", place["phi_arc"][16] + (0.02, 0), PITCH_COLOUR, 10)
-    symbol(r"$\psi$", 1.48 * place["psi_arc"][16] - 0.48 * place["psi_zero"][0], YAW_COLOUR, 10)
-    symbol(r"$u_\phi$", place["u_phi"][33] + (0.01, 0.035), PITCH_COLOUR, 10)
-    symbol(r"$u_\psi$", place["u_psi"][-1] + (0.03, 0), YAW_COLOUR, 10)
-    symbol("$l_m$", place["main_arm"].mean(axis=0) + (0.047, -0.018))
-    symbol("$l_t$", place["tail_arm"].mean(axis=0) + (-0.03, 0.02))
-    symbol("$l_{cw}$", place["left_lever"].mean(axis=0) + (0.03, 0.0))
+    symbol(r"$\phi$", parts["phi_arc"][16] + (0.02, 0), PITCH_COLOUR, 10)
+    symbol(r"$\psi$", 1.48 * parts["psi_arc"][16] - 0.48 * parts["psi_zero"][0], YAW_COLOUR, 10)
+    symbol(r"$u_\phi$", parts["u_phi"][33] + (0.01, 0.035), PITCH_COLOUR, 10)
+    symbol(r"$u_\psi$", parts["u_psi"][-1] + (0.03, 0), YAW_COLOUR, 10)
+    symbol("$l_m$", parts["main_arm"].mean(axis=0) + (0.047, -0.018))
+    symbol("$l_t$", parts["tail_arm"].mean(axis=0) + (-0.03, 0.02))
+    symbol("$l_{cw}$", parts["left_lever"].mean(axis=0) + (0.03, 0.0))
 
 
 # --------------------------------------------------------------------------------------------- Fig. 2: the method
@@ -125,17 +128,18 @@ _ARROWS = [  # start, end, text, equation, step (0: not a step), linestyle, x, y
     ("Koopman matrix", "generator", "principal\nlogarithm", "(15)", 3, "-", 2.305, 0.33, "top"),
     ("generator", "vector field", f"{_FIT}\nby least squares", "(18)", 3, "-", 2.82, 1.455, "right"),
 ]
+_COLUMNS = ["kind", "name", "text", "x", "y", "width", "height", "start", "end", "step", "equation"]
 
 
 def method_diagram():
-    """Return the diagram of the method as a table: panels, nodes and arrows with their labels.
+    """The diagram of the method as a table: panels, nodes and arrows with their labels.
 
     Returns
     -------
     pandas.DataFrame
-        Columns ``kind`` ("panel", "node", "arrow"), ``name``, ``text``; ``x``, ``y`` (lower left corner of a panel, centre
-        of a node, label of an arrow), ``width``, ``height`` in inches; and for arrows ``start``, ``end`` (names of nodes),
-        ``step`` (1 to 3, 0 for none), ``equation`` (number in the paper), ``linestyle``, ``align``.
+        Columns ``kind`` ("panel", "node", "arrow"), ``name``, ``text``; ``x``, ``y`` (lower left corner of a panel,
+        centre of a node, label of an arrow), ``width``, ``height`` in inches; and for arrows ``start``, ``end``
+        (names of nodes), ``step`` (1 to 3, 0 for none), ``equation`` (number in the paper), ``linestyle``, ``align``.
     """
     panels = pd.DataFrame(_PANELS, columns=["name", "text", "x", "y", "width", "height"]).assign(kind="panel")
     nodes = pd.DataFrame(_NODES, columns=["name", "text", "x", "y", "width", "height"]).assign(kind="node")
@@ -143,13 +147,12 @@ def method_diagram():
     arrows = arrows.assign(kind="arrow", name=arrows["start"] + " to " + arrows["end"])
     table = pd.concat([panels, nodes, arrows], ignore_index=True)
     table["step"] = table["step"].astype("Int64")
-    columns = ["kind", "name", "text", "x", "y", "width", "height", "start", "end", "step", "equation", "linestyle", "align"]
-    return table[columns]
+    return table[[*_COLUMNS, "linestyle", "align"]]
 
 
 @styled()
 def method_figure(diagram):
-    """Fig. 2: from data to vector field, directly (dashed) or by way of the lifted space, where the problem is linear.
+    """Fig. 2: from data to vector field, directly (dashed) or through the lifted space, where the problem is linear.
 
     Parameters
     ----------
@@ -160,7 +163,7 @@ def method_figure(diagram):
     -------
     matplotlib.figure.Figure
     """
-    require(diagram, "diagram", ["kind", "name", "text", "x", "y", "width", "height", "start", "end", "step", "equation"])
+    require(diagram, "diagram", _COLUMNS)
     figure, axes = _drawing_board(width=WIDTH, height=2.69)
     nodes = diagram[diagram["kind"] == "node"].set_index("name")
     for panel in diagram[diagram["kind"] == "panel"].itertuples():
@@ -175,10 +178,12 @@ def method_figure(diagram):
 def _draw_panel(axes, panel):
     shade = {"state": "#f3f3f3", "lifted": "#dfe9f2"}[panel.name]
     box = FancyBboxPatch(
-        (panel.x, panel.y), panel.width, panel.height, boxstyle="round,pad=0,rounding_size=0.06", facecolor=shade, linewidth=0,
+        (panel.x, panel.y), panel.width, panel.height,
+        boxstyle="round,pad=0,rounding_size=0.06", facecolor=shade, linewidth=0,
     )
     axes.add_patch(box)
-    axes.text(panel.x + panel.width / 2, panel.y + panel.height - 0.06, panel.text, ha="center", va="top", fontsize=FORMULA)
+    middle, top = panel.x + panel.width / 2, panel.y + panel.height
+    axes.text(middle, top - 0.06, panel.text, ha="center", va="top", fontsize=FORMULA)
 
 
 def _draw_node(axes, node):
@@ -211,7 +216,7 @@ def _draw_arrow(axes, arrow, nodes):
 
 
 def _ends(start, end):
-    """Where the arrow between two boxes leaves the first and meets the second: level, or straight up or down."""
+    """Start and end of the arrow between two boxes: level, or straight up or down."""
     if start.y == end.y:
         side = np.sign(end.x - start.x)
         return (start.x + side * start.width / 2, start.y), (end.x - side * end.width / 2, end.y)
@@ -221,7 +226,7 @@ def _ends(start, end):
 
 
 def _drawing_board(width, height, low=(0.0, 0.0)):
-    """Make a figure one column wide whose only axes fill it, without frame, `width` by `height` in equal data units."""
+    """A figure one column wide and its only axes, which fill it without frame: `width` by `height` in data units."""
     figure = Figure(figsize=(WIDTH, WIDTH * height / width))
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set_axis_off()

@@ -1,4 +1,4 @@
-"""What the grid of readings tells: the effect of each option, the readings nearest to the paper's two numbers, and how much nearness means."""
+"""Effects of the options in the grid of readings, the readings nearest to the paper, and what nearness means."""
 
 import numpy as np
 import pandas as pd
@@ -6,35 +6,36 @@ import pandas as pd
 from tras import readings
 
 PAPER = (4.0589, 5.5889)  # percent, in the order of the sentence: "the yaw angle NRMSE", "the pitch angle NRMSE"
-OPTIONS = ("input", "frequency_unit", "dictionary", "state", "horizon", "nrmse_range", "velocity_term")  # that change numbers of ours
+# The options that change our numbers
+OPTIONS = ("input", "frequency_unit", "dictionary", "state", "horizon", "nrmse_range", "velocity_term")
 SEEDS = ("train_seed", "draw", "validation_seed")
 
 
 def target(angle_names="words"):
-    """The paper's NRMSE of our yaw and pitch, in percent, by the reading ``angle_names``: (yaw, pitch)."""
-    if angle_names not in readings.choices("angle_names"):
-        readings.Readings(angle_names=angle_names)  # says what is wrong
-    return PAPER if angle_names == "words" else PAPER[::-1]  # phi is "yaw" in the paper's words and pitch in its equations
+    """The paper's NRMSE of our (yaw, pitch), in percent, by the reading ``angle_names``."""
+    readings.Readings(angle_names=angle_names)  # raises on an unknown name
+    return PAPER if angle_names == "words" else PAPER[::-1]  # phi is yaw in the paper's words, pitch in its equations
 
 
 def distance(yaw, pitch, angle_names="words"):
-    """How far two NRMSE (percent) are from the paper's: root mean square of the two log ratios.
+    """Distance of two NRMSE (percent) from the paper's: root mean square of the two log ratios.
 
-    Errors are positive and their grid spans decades, so 2 % and 8 % are equally far from 4 %; both angles count alike, whatever the unit.
-    0.1 means that the two are off by 10 % typically, log 2 = 0.69 by a factor of two.
+    Errors are positive and their grid spans decades, so 2 % and 8 % are equally far from 4 %. Both angles have the
+    same weight, whatever the unit. A distance of 0.1 means typical deviations of 10 %, log 2 = 0.69 those by a factor
+    of two.
 
     Examples
     --------
     >>> round(distance(2 * 4.0589, 2 * 5.5889), 3), round(distance(5.5889, 4.0589, "symbols"), 3)
     (0.693, 0.0)
     """
-    logs = [np.log(np.asarray(value) / wanted) for value, wanted in zip((yaw, pitch), target(angle_names))]
+    logs = [np.log(np.asarray(value) / paper) for value, paper in zip((yaw, pitch), target(angle_names))]
     result = np.sqrt(np.mean(np.square(logs), axis=0))
     return result if np.ndim(result) else float(result)
 
 
 def pairs_of_angles(table):
-    """One row a point, validation seed, horizon and range, the two angles side by side.
+    """One row per point, validation seed, horizon and range, with the two angles side by side.
 
     Parameters
     ----------
@@ -44,8 +45,9 @@ def pairs_of_angles(table):
     Returns
     -------
     pandas.DataFrame
-        Options and seeds, ``yaw, pitch`` (NRMSE in percent; NaN unless there is a model and nothing diverged), ``windows, diverged``,
-        ``has_model``. A free run is one window, whose own range is the recording's: its rows with ``nrmse_range`` "trajectory" repeat the others.
+        Options and seeds, ``yaw, pitch`` (NRMSE in percent; NaN unless there is a model and nothing diverged),
+        ``windows, diverged``, ``has_model``. A free run is one window and its range is the recording's, so its rows
+        with ``nrmse_range`` "trajectory" repeat the others.
     """
     wide = table.set_index([*OPTIONS, *SEEDS, "angle"]).unstack("angle")
     result = pd.DataFrame({angle: wide["nrmse", angle] for angle in ("yaw", "pitch")})
@@ -56,20 +58,21 @@ def pairs_of_angles(table):
 
 
 def summary(table):
-    """One row a reading, over all of its seeds.
+    """One row per reading, over all of its seeds.
 
     Returns
     -------
     pandas.DataFrame
-        The seven options; ``yaw, pitch`` (median NRMSE in percent) with ``_lowest`` and ``_highest``; ``runs`` (fits times validation recordings),
-        ``without_model, windows, diverged``; ``complete``: there is a model for every seed and nothing diverged. Numbers of the others are of
-        what is left, or NaN.
+        The seven options; ``yaw, pitch`` (median NRMSE in percent) with ``_lowest`` and ``_highest``; ``runs`` (fits
+        times validation recordings), ``without_model, windows, diverged``; ``complete``: every seed has a model and
+        nothing diverged. The numbers of an incomplete reading are those of its complete runs, or NaN.
     """
     groups = pairs_of_angles(table).groupby(list(OPTIONS), sort=False)
     parts = {}
     for angle in ("yaw", "pitch"):
-        parts |= {angle: groups[angle].median(), f"{angle}_lowest": groups[angle].min(), f"{angle}_highest": groups[angle].max()}
-    parts |= {"runs": groups.size(), "without_model": groups["has_model"].agg(lambda has: int((~has).sum()))}
+        values = groups[angle]
+        parts |= {angle: values.median(), f"{angle}_lowest": values.min(), f"{angle}_highest": values.max()}
+    parts |= {"runs": groups.size(), "without_model": groups["has_model"].agg(lambda column: int((~column).sum()))}
     parts |= {name: groups[name].sum() for name in ("windows", "diverged")}
     result = pd.DataFrame(parts).reset_index()
     result["complete"] = (result["without_model"] == 0) & (result["diverged"] == 0)
@@ -82,28 +85,28 @@ def nearest(table):
     Returns
     -------
     pandas.DataFrame
-        As `summary`, with ``angle_names, distance`` (of the medians) and ``distance_lowest, distance_highest`` over the single runs. Free runs stand
-        once, under the range of the validation set.
+        As `summary`, with ``angle_names, distance`` (of the medians) and ``distance_lowest, distance_highest`` over the
+        single runs. Free runs appear once, under the range of the validation set.
     """
-    kept = summary(table).query("complete")
-    kept = kept[(kept["horizon"] != "free_run") | (kept["nrmse_range"] == "validation_set")]
+    complete = summary(table).query("complete and (horizon != 'free_run' or nrmse_range == 'validation_set')")
     runs = pairs_of_angles(table)
     parts = []
     for names in readings.choices("angle_names"):
-        spread = runs.assign(d=distance(runs["yaw"], runs["pitch"], names)).groupby(list(OPTIONS))["d"].agg(["min", "max"])
-        spread = spread.rename(columns={"min": "distance_lowest", "max": "distance_highest"})
-        own = kept.assign(angle_names=names, distance=distance(kept["yaw"], kept["pitch"], names))
-        parts.append(own.join(spread, on=list(OPTIONS)))
+        distances = runs.assign(distance=distance(runs["yaw"], runs["pitch"], names)).groupby(list(OPTIONS))["distance"]
+        spread = distances.agg(distance_lowest="min", distance_highest="max")
+        medians = complete.assign(angle_names=names, distance=distance(complete["yaw"], complete["pitch"], names))
+        parts.append(medians.join(spread, on=list(OPTIONS)))
     return pd.concat(parts).sort_values("distance", kind="stable", ignore_index=True)
 
 
 def departures(ranking, default):
-    """In how many options each row of `nearest` differs from the default reading: (rows,) int."""
-    return sum((ranking[option] != getattr(default, option)).astype(int) for option in (*OPTIONS, "angle_names")).to_numpy()
+    """Number of options in which each row of `nearest` differs from the default reading: (rows,) int."""
+    options = [*OPTIONS, "angle_names"]
+    return (ranking[options] != [getattr(default, option) for option in options]).sum(axis=1).to_numpy()
 
 
 def chance(ranking, within, rng, *, among=None, draws=2000):
-    """Share of random pairs of numbers that have a reading as near as ``within``: how little it means that the paper's pair has one.
+    """Share of random pairs of numbers with a reading as near as ``within``: if it is large, nearness means little.
 
     Parameters
     ----------
@@ -112,9 +115,9 @@ def chance(ranking, within, rng, *, among=None, draws=2000):
     within : float
         A distance.
     rng : numpy.random.Generator
-        Draws the pairs log-uniformly between the 5 % and 95 % quantiles of the readings' own yaw and pitch NRMSE.
+        Draws the pairs log-uniformly between the 5 % and 95 % quantiles of the readings' yaw and pitch NRMSE.
     among : (rows,) bool array_like, optional
-        The readings that may serve; default all.
+        The readings that count; default all.
     draws : int
 
     Returns
@@ -124,14 +127,14 @@ def chance(ranking, within, rng, *, among=None, draws=2000):
     logs, words = np.log(ranking[["yaw", "pitch"]].to_numpy()), (ranking["angle_names"] == "words").to_numpy()
     random = rng.uniform(*np.quantile(logs, [0.05, 0.95], axis=0), (draws, 2))
     among = np.ones(len(ranking), dtype=bool) if among is None else np.asarray(among)
-    hit = np.zeros(draws, dtype=bool)
-    for rows, pairs in ((words & among, random), (~words & among, random[:, ::-1])):  # by the symbols, a pair is the other way round
-        hit |= (np.sqrt(np.mean((pairs[:, None] - logs[rows]) ** 2, axis=2)) <= within).any(axis=1)
-    return float(hit.mean())
+    near = np.zeros(draws, dtype=bool)
+    for rows, pairs in ((words & among, random), (~words & among, random[:, ::-1])):  # the symbols exchange the angles
+        near |= (np.sqrt(np.mean((pairs[:, None] - logs[rows]) ** 2, axis=2)) <= within).any(axis=1)
+    return float(near.mean())
 
 
 def effects(table, default):
-    """What each choice does to the error, all else equal: ratios of NRMSE to that under the default choice, over all pairs of points.
+    """Effect of each choice on the error: ratios of the NRMSE to that of the default choice, all else equal.
 
     Parameters
     ----------
@@ -142,20 +145,22 @@ def effects(table, default):
     Returns
     -------
     pandas.DataFrame
-        Columns ``option, choice, angle, pairs`` (with a number on both sides), ``lost`` (without), ``median, q05, q25, q75, q95`` of the ratio.
-        Random centres are averaged over their draws (median) before; free runs are left out of ``nrmse_range``, which they do not know.
+        Columns ``option, choice, angle, pairs`` (of points with both numbers), ``lost`` (the other pairs), ``median``,
+        ``q05, q25, q75, q95`` of the ratio. The median over the draws stands for random centres. ``nrmse_range`` leaves
+        out free runs, for which its choices do not differ.
     """
     runs = pairs_of_angles(table)
     rows = []
     for option in OPTIONS:
-        here = runs[runs["horizon"] != "free_run"] if option == "nrmse_range" else runs
+        points = runs[runs["horizon"] != "free_run"] if option == "nrmse_range" else runs
         others = [name for name in (*OPTIONS, *SEEDS) if name not in (option, "draw")]
         for angle in ("yaw", "pitch"):
-            wide = here.groupby([*others, option])[angle].agg(lambda v: v.median(skipna=False)).unstack(option)
+            wide = points.groupby([*others, option])[angle].agg(lambda v: v.median(skipna=False)).unstack(option)
             base = getattr(default, option)
-            for choice in (c for c in readings.choices(option) if c != base and c in wide):
+            for choice in (name for name in readings.choices(option) if name != base and name in wide):
                 ratio = (wide[choice] / wide[base]).dropna()
                 quantiles = ratio.quantile([0.5, 0.05, 0.25, 0.75, 0.95]) if len(ratio) else [np.nan] * 5
+                counts = {"pairs": len(ratio), "lost": len(wide) - len(ratio)}
                 numbers = dict(zip(("median", "q05", "q25", "q75", "q95"), quantiles))
-                rows.append({"option": option, "choice": choice, "angle": angle, "pairs": len(ratio), "lost": len(wide) - len(ratio), **numbers})
+                rows.append({"option": option, "choice": choice, "angle": angle, **counts, **numbers})
     return pd.DataFrame(rows)

@@ -1,6 +1,6 @@
 """Reference signals: multisines for identification (paper, "Controlled input"), steps and chirps for validation.
 
-All return (samples, channels) on the grid 0, dt, ..., duration, both ends included, so 500 s at 0.01 s are 50001 samples.
+All return (samples, channels) on the grid 0, dt, ..., duration with both ends: 500 s at 0.01 s are 50001 samples.
 """
 
 import math
@@ -13,12 +13,13 @@ PITCH_PEAK, YAW_PEAK = 1.22173, math.pi  # rad
 
 
 def multisine(duration, dt, max_frequency, peak, rng, *, max_correlation=0.05, draws=1000):
-    """Random-phase multisines, one a channel: flat spectrum, low crest factor, hardly correlated.
+    """Random-phase multisines, one per channel: flat spectrum, low crest factor, low correlation.
 
-    Channel ``i`` is the sum of cosines at the lines ``2 pi k / duration``, ``k = 1, 2, ...`` up to ``max_frequency[i]``, all of
-    the same amplitude, with random phases (R. Pintelon and J. Schoukens, *System Identification*, 2nd ed., Sec. 5.3).
-    Of ``draws`` sets of phases the one with the lowest crest factor is kept among those whose correlation with the channels
-    before it is small enough ("we reduced the correlation"). The signal has zero mean, its period is ``duration``.
+    Channel ``i`` is the sum of cosines of equal amplitude and random phase at the lines ``2 pi k / duration``, ``k =
+    1, 2, ...`` up to ``max_frequency[i]`` (R. Pintelon and J. Schoukens, *System Identification*, 2nd ed., Sec. 5.3).
+    Each channel draws ``draws`` sets of phases. Among those whose correlation with the earlier channels is small
+    enough ("we reduced the correlation"), the one with the lowest crest factor counts. The mean is zero, the period
+    ``duration``.
 
     Parameters
     ----------
@@ -33,7 +34,7 @@ def multisine(duration, dt, max_frequency, peak, rng, *, max_correlation=0.05, d
     max_correlation : float
         Largest absolute correlation coefficient between two channels over one period.
     draws : int
-        Phase sets tried for each channel.
+        Number of phase sets per channel.
 
     Returns
     -------
@@ -54,14 +55,16 @@ def multisine(duration, dt, max_frequency, peak, rng, *, max_correlation=0.05, d
     samples, rng = grid(duration, dt), _generator(rng)
     max_frequency, peak = np.atleast_1d(max_frequency), np.atleast_1d(peak)
     if max_frequency.shape != peak.shape:
-        raise ValueError(f"max_frequency has {max_frequency.size} channels but peak has {peak.size}; give one of each a channel.")
+        sizes = f"max_frequency has {max_frequency.size} channels but peak has {peak.size}"
+        raise ValueError(f"{sizes}; give one of each per channel.")
     lines = [multisine_lines(duration, dt, top) for top in max_frequency]
     points = min(samples - 1, 16 * max(lines))  # enough to judge crest factors; correlations are exact on it
-    chosen = []
+    channels = []
     for i, count in enumerate(lines):
         phases = 2 * np.pi * rng.random((draws, count))
         candidates = _cosines(phases, points)
-        small = [np.abs(candidates @ other) <= max_correlation * points / 2 * math.sqrt(count * len(phase)) for phase, other in chosen]
+        limits = [max_correlation * points / 2 * math.sqrt(count * len(phase)) for phase, _ in channels]
+        small = [np.abs(candidates @ other) <= limit for limit, (_, other) in zip(limits, channels)]
         crest = np.where(np.all(small, axis=0), np.abs(candidates).max(axis=1), np.inf)
         best = int(np.argmin(crest))
         if not np.isfinite(crest[best]):
@@ -69,13 +72,13 @@ def multisine(duration, dt, max_frequency, peak, rng, *, max_correlation=0.05, d
                 f"max_correlation = {max_correlation}: none of {draws} draws of channel {i} is that little correlated "
                 "with the channels before it; raise max_correlation or draws."
             )
-        chosen.append((phases[best], candidates[best]))
-    signals = np.column_stack([_cosines(phase, samples - 1) for phase, _ in chosen])
+        channels.append((phases[best], candidates[best]))
+    signals = np.column_stack([_cosines(phase, samples - 1) for phase, _ in channels])
     return np.vstack([signals, signals[:1]]) * (peak / np.abs(signals).max(axis=0))
 
 
 def multisine_lines(duration, dt, max_frequency):
-    """Number of lines ``2 pi k / duration <= max_frequency`` (rad/s): 63 for 0.8 rad/s and 15 for 0.2 rad/s over 500 s."""
+    """Number of lines ``2 pi k / duration <= max_frequency`` (rad/s): over 500 s 63 for 0.8 rad/s, 15 for 0.2 rad/s."""
     lines = math.floor(max_frequency * duration / (2 * math.pi) * (1 + 1e-12))
     if lines < 1:
         raise ValueError(
@@ -83,14 +86,15 @@ def multisine_lines(duration, dt, max_frequency):
             f"{2 * math.pi / duration:.4g} rad/s; raise it or the duration."
         )
     if 2 * lines >= grid(duration, dt) - 1:
-        raise ValueError(f"max_frequency = {max_frequency} rad/s is not below pi / dt = {math.pi / dt:.4g} rad/s; lower it or dt.")
+        nyquist = f"pi / dt = {math.pi / dt:.4g} rad/s"
+        raise ValueError(f"max_frequency = {max_frequency} rad/s is not below {nyquist}; lower it or dt.")
     return lines
 
 
 def steps(duration, dt, peak, rng, *, shortest=4.0, longest=10.0):
-    """Random levels within ``+-peak``, each held for a random time between ``shortest`` and ``longest`` seconds.
+    """Random levels within ``+-peak``, each for a random time between ``shortest`` and ``longest`` seconds.
 
-    Channels change at times of their own. Parameters and result as for `multisine`.
+    Channels change independently. Parameters and result as for `multisine`.
     """
     samples, rng = grid(duration, dt), _generator(rng)
     if not 0 < shortest <= longest:
@@ -104,7 +108,7 @@ def steps(duration, dt, peak, rng, *, shortest=4.0, longest=10.0):
 
 
 def chirp(duration, dt, max_frequency, peak):
-    """Sines whose frequency rises linearly from 0 to ``max_frequency`` (rad/s), one a channel, no randomness.
+    """Sines whose frequency rises linearly from 0 to ``max_frequency`` (rad/s), one per channel, without randomness.
 
     Odd channels are cosines, so that two channels with the same sweep are not the same signal.
     """
@@ -121,7 +125,7 @@ def grid(duration, dt):
             raise ValueError(f"{name} is {value}; give a positive time in s.")
     intervals = round(duration / dt)
     if intervals < 1 or abs(intervals * dt - duration) > 1e-9 * duration:
-        raise ValueError(f"duration = {duration} s is not a whole number of samples of dt = {dt} s; change one of them.")
+        raise ValueError(f"duration = {duration} s is not a whole number of samples of dt = {dt} s; change either.")
     return intervals + 1
 
 
@@ -129,11 +133,11 @@ def _generator(rng):
     try:
         return np.random.default_rng(rng)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"rng is {rng!r}; give a numpy.random.Generator or a seed, an integer of 0 or more.") from error
+        raise ValueError(f"rng is {rng!r}; give a numpy.random.Generator or a seed of 0 or more.") from error
 
 
 def _cosines(phases, points):
-    """Sums of unit cosines at lines 1, 2, ... with the given phases (..., lines), over one period: (..., points)."""
+    """Sums of unit cosines at lines 1, 2, ... with phases (..., lines), over one period: (..., points)."""
     lines = phases.shape[-1]
     spectrum = np.zeros((*phases.shape[:-1], points // 2 + 1), dtype=complex)
     spectrum[..., 1 : lines + 1] = np.exp(1j * phases)

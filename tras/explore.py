@@ -1,6 +1,6 @@
-"""From a choice to what comes of it: simulate, identify, predict, judge. No widget is known here; `tras.widgets` shows the outcome.
+"""From a choice to its outcome: simulate, identify, predict, judge. `tras.widgets` shows the outcome.
 
-Simulated recordings are kept, so that a change of the model costs a fit and two predictions.
+A cache holds the simulated recordings, so a change of the model costs a fit and two predictions.
 """
 
 import functools
@@ -22,22 +22,22 @@ from tras.radial import GaussianRBF
 
 TRAJECTORY = 5.0  # s, pieces of the training recording
 TRAIN_FRACTION, SPLIT_SEED = 0.8, 0  # as in 02_identification
-MOST = 300  # functions; more of them take seconds
+MOST = 300  # functions; more take seconds
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What comes of a choice.
+    """A choice with its model and the results.
 
     Attributes
     ----------
     choice : Choice
     model, linear : KoopmanModel
-        The chosen one, and degree 1 by least squares from the same data; None where there is no linear one.
+        The chosen model, and one of degree 1 by least squares from the same data (None if the data give none).
     metrics : pandas.DataFrame
-        Rows "Koopman", "linear", "paper" for each angle: ``model, angle, nrmse`` (%), ``enr, bfr`` (%), ``windows, diverged``.
+        ``model`` ("Koopman", "linear", "paper"), ``angle, nrmse`` (%), ``enr, bfr`` (%), ``windows, diverged``.
     overlay : pandas.DataFrame
-        The typical window: ``time`` (s) and in rad ``phi_true, phi_koopman, phi_linear`` and the same of ``psi``.
+        The typical window: ``time`` (s) and in rad ``phi_true, phi_koopman, phi_linear`` and the same for ``psi``.
     growth : pandas.DataFrame
         ``model, angle, time`` (s), ``nrmse`` (%) of all windows at that time.
     spectrum : pandas.DataFrame
@@ -45,7 +45,7 @@ class Outcome:
     window : Recording
         The typical window itself.
     remarks : tuple of str
-        Sentences that a reader of the pictures should know.
+        Sentences that qualify the pictures.
     """
 
     choice: Choice
@@ -60,7 +60,7 @@ class Outcome:
 
 
 def explore(choice):
-    """Identify the chosen model and judge it on a recording that it has not seen, beside the linear model and the paper.
+    """Identify the chosen model and judge it on an independent recording, beside the linear model and the paper.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def explore(choice):
     Raises
     ------
     ChoiceError
-        (a ValueError) If the choice gives no model; the sentence says why and what to change.
+        (a ValueError) If the choice gives no model; the message says why and what to change.
 
     Examples
     --------
@@ -90,7 +90,7 @@ def explore(choice):
     except ChoiceError as error:
         linear, absent = None, (f"There is no linear model to compare with: {error}",)
     models = {"Koopman": model} | ({"linear": linear} if linear else {})
-    with np.errstate(all="ignore"):  # what runs away is counted
+    with np.errstate(all="ignore"):  # the metrics count predictions that diverge
         predicted = {name: each.predict(fresh) for name, each in models.items()}
     metrics, growth, spectrum = [], [], []
     for name, each in models.items():
@@ -98,40 +98,39 @@ def explore(choice):
         growth.append(validation.growth_of(fresh, predicted[name], every=max(1, fresh.states.shape[1] // 120)).assign(model=name))
         spectrum.append(pd.DataFrame({"model": name, "real": each.eigenvalues.real, "imag": each.eigenvalues.imag}))
     typical = validation.typical_of(fresh, predicted["Koopman"])
-    return Outcome(
-        choice, model, linear, pd.DataFrame(metrics + _papers()), _overlay(fresh, predicted, typical), pd.concat(growth, ignore_index=True),
-        pd.concat(spectrum, ignore_index=True), fresh[typical], (*_remarks(model, metrics), *absent),
-    )
+    tables = (pd.DataFrame(metrics + _papers()), _overlay(fresh, predicted, typical))
+    tables += tuple(pd.concat(frames, ignore_index=True) for frames in (growth, spectrum))
+    return Outcome(choice, model, linear, *tables, fresh[typical], (*_remarks(model, metrics), *absent))
 
 
 def numbers(outcome):
-    """The metrics as a reader wants them.
+    """The metrics as a table for the reader.
 
     Returns
     -------
     pandas.DataFrame
-        Rows: NRMSE, Enr, BFR of yaw and pitch, and predictions that ran away; columns ``Koopman, linear, paper``. Cells are text.
+        Text: rows NRMSE, Enr, BFR of yaw and pitch, and predictions that ran away; columns ``Koopman, linear, paper``.
     """
     rows = {}
-    for label, column, digits in (("NRMSE (%)", "nrmse", 4), ("Enr", "enr", 4), ("BFR (%)", "bfr", 4)):
+    for label, column in (("NRMSE (%)", "nrmse"), ("Enr", "enr"), ("BFR (%)", "bfr")):
         for angle in validation.ANGLES:
-            rows[f"{label}, {angle}"] = {
-                row["model"]: f"{row[column]:.{digits}g}" if np.isfinite(row[column]) else "none left" if row["windows"] > 0 else ""
-                for _, row in outcome.metrics[outcome.metrics["angle"] == angle].iterrows()
-            }
-    first = outcome.metrics[outcome.metrics["angle"] == "yaw"]
-    rows["ran away"] = {row["model"]: f"{row['diverged']:g} of {row['windows']:g}" if row["windows"] > 0 else "" for _, row in first.iterrows()}
-    table = pd.DataFrame.from_dict(rows, orient="index", columns=None).reindex(columns=["Koopman", "linear", "paper"]).fillna("")
+            cells = rows[f"{label}, {angle}"] = {}
+            for _, row in outcome.metrics[outcome.metrics["angle"] == angle].iterrows():
+                missing = "none left" if row["windows"] > 0 else ""
+                cells[row["model"]] = f"{row[column]:.4g}" if np.isfinite(row[column]) else missing
+    judged = outcome.metrics.query("angle == 'yaw' and windows > 0")
+    rows["ran away"] = {row["model"]: f"{row['diverged']:g} of {row['windows']:g}" for _, row in judged.iterrows()}
+    table = pd.DataFrame.from_dict(rows, orient="index").reindex(columns=["Koopman", "linear", "paper"]).fillna("")
     table.loc[["NRMSE (%), yaw", "NRMSE (%), pitch"], "paper"] = [f"{value}" for value in PAPER]
     return table
 
 
-# --------------------------------------------------------------------------------------------------------------- the steps
+# --- the steps ---
 
 
 @functools.lru_cache(maxsize=8)
 def recording(frequency_unit, duration, sampling_time, seed):
-    """The experiment of 01_data_generation under these choices, with all channels; simulated once and kept."""
+    """The experiment of 01_data_generation under these choices, with all channels."""
     _samples("duration", duration, sampling_time)
     study = grid.Study(duration=duration, sampling_time=sampling_time)
     try:
@@ -141,7 +140,7 @@ def recording(frequency_unit, duration, sampling_time, seed):
 
 
 def training(choice):
-    """Four fifths of the trajectories of the training recording, with its noise, of the chosen channels."""
+    """The chosen channels of four fifths of the training trajectories, with noise."""
     whole = _channels(recording(choice.frequency_unit, choice.duration, choice.sampling_time, choice.seed), choice)
     if choice.noise:
         whole = add_noise(whole, choice.noise / 100, choice.seed)
@@ -149,13 +148,13 @@ def training(choice):
 
 
 def validation_windows(choice):
-    """Windows of an independent realisation without noise, the next seed's."""
+    """Windows of an independent realisation without noise, that of the next seed."""
     fresh = recording(choice.frequency_unit, choice.duration, choice.sampling_time, choice.seed + 1)
     return _cut(_channels(fresh, choice), 1, "horizon", choice.horizon)
 
 
 def identify(choice, train):
-    """The chosen model, fitted to a recording that `training` has made.
+    """The chosen model, fitted to a recording from `training`.
 
     Raises
     ------
@@ -165,14 +164,20 @@ def identify(choice, train):
     model = unfitted(choice)
     count = _functions(model, train)
     if count > MOST:
-        raise ChoiceError(f"These are {count} functions, which take seconds a change: choose a smaller size or fewer delays (at most {MOST} functions).")
+        raise ChoiceError(
+            f"These are {count} functions, which take seconds per change: "
+            f"choose a smaller size or fewer delays (at most {MOST} functions)."
+        )
     try:
-        with np.errstate(all="ignore"):  # a fit that fails says so itself
+        with np.errstate(all="ignore"):  # a fit that fails raises
             return model.fit(train)
     except LogarithmError as error:
         raise ChoiceError(f"There is no model: {error}") from error
     except np.linalg.LinAlgError as error:
-        raise ChoiceError("There is no model: equation (18) is singular for this dictionary. Take F from the columns of A (field = coordinates), or fewer functions.") from error
+        raise ChoiceError(
+            "There is no model: equation (18) is singular for this dictionary. "
+            "Take F from the columns of A (field = coordinates), or fewer functions."
+        ) from error
     except ValueError as error:
         raise ChoiceError(f"There is no model: {error}") from error
 
@@ -181,60 +186,64 @@ def unfitted(choice):
     """The chosen `KoopmanModel` before any data."""
     size = choice.size
     dictionaries = {
-        "gaussian": lambda: GaussianRBF(size, float(choice.width), choice.seed - 1),  # the paper's run: seed 1, centres 0
-        "linear": lambda: Monomials(1), "monomials": lambda: Monomials(size), "exponentials": lambda: Exponentials(size),
-        "fourier": lambda: Fourier(size), "mechanical": lambda: Mechanical(size),
-    }  # fmt: skip
+        "gaussian": lambda: GaussianRBF(size, float(choice.width), choice.seed - 1),  # seed 1: centres 0, as in 02
+        "linear": lambda: Monomials(1),
+        "monomials": lambda: Monomials(size),
+        "exponentials": lambda: Exponentials(size),
+        "fourier": lambda: Fourier(size),
+        "mechanical": lambda: Mechanical(size),
+    }
     plain = choice.regularization == "none"
+    regularization, strength = (None, 0.0) if plain else (choice.regularization, choice.strength)
     return KoopmanModel(
-        dictionaries[choice.dictionary](), choice.predictor, choice.delays, field=choice.field, extrapolation=choice.extrapolation,
-        regularization=None if plain else choice.regularization, strength=0.0 if plain else float(choice.strength),
-    )
+        dictionaries[choice.dictionary](), choice.predictor, choice.delays, field=choice.field,
+        regularization=regularization, strength=float(strength), extrapolation=choice.extrapolation,
+    )  # fmt: skip
 
 
 def _channels(whole, choice):
-    return whole.select(states=None if choice.state == "four_states" else ("phi", "psi"), inputs=grid.CHANNELS[choice.input])
+    return whole.select(states=grid.STATES[choice.state][0], inputs=grid.CHANNELS[choice.input])
 
 
 def _cut(whole, least, name, seconds):
-    """Pieces of so many seconds, at least ``least`` of them."""
+    """Pieces of ``seconds`` s each, at least ``least`` of them."""
     samples = _samples(name, seconds, whole.dt)
     total = (whole.lengths[0] - 1) * whole.dt
     if total < least * seconds * (1 - 1e-9):
-        wanted = f"{least} trajectories" if least > 1 else f"one {name}"
-        raise ChoiceError(f"duration is {total:g} s, too short for {wanted} of {seconds:g} s: choose a longer one.")
+        pieces = f"{least} trajectories" if least > 1 else f"one {name}"
+        raise ChoiceError(f"duration is {total:g} s, too short for {pieces} of {seconds:g} s: choose a longer one.")
     return whole.cut(samples + 1)
 
 
 def _samples(name, seconds, dt):
     samples = round(seconds / dt)
     if samples < 1 or abs(samples * dt - seconds) > 1e-9 * seconds:
-        raise ChoiceError(f"{name} is {seconds:g} s, no whole number of samples of {dt:g} s: change it, or sampling_time.")
+        raise ChoiceError(f"{name} is {seconds:g} s, no whole number of samples of {dt:g} s: change either of them.")
     return samples
 
 
 def _functions(model, train):
-    """How many functions the dictionary will have."""
+    """Number of functions that the dictionary will have; 0 if it is certainly small enough."""
     lifts_inputs = model.predictor != "lifted_linear"
     past_inputs = train.m * model.delays * (model.predictor != "vector_field")
     states, inputs = train.n * (model.delays + 1) + past_inputs, train.m * lifts_inputs
-    if isinstance(model.dictionary, Monomials):  # counted, not made: they may be a million
+    if isinstance(model.dictionary, Monomials):  # counted, not built: there may be a million
         return math.comb(states + inputs + model.dictionary.degree, model.dictionary.degree)
     if isinstance(model.dictionary, (Exponentials, Fourier)):
         channels = states + inputs
         return 1 + channels + 2 * channels * (1 if model.dictionary.order == 1 else channels + 1)
     if isinstance(model.dictionary, GaussianRBF):
         return 1 + states + inputs + model.dictionary.n_centres
-    return 0  # mechanical: as large as its degree allows, which is not too large
+    return 0  # mechanical: its degree limits it
 
 
 def _overlay(fresh, predicted, index):
     table = pd.DataFrame({"time": np.arange(fresh.states.shape[1]) * fresh.dt})
-    runs = {"true": fresh.states} | {name.lower(): states for name, states in predicted.items()}
+    trajectories = {"true": fresh.states} | {name.lower(): states for name, states in predicted.items()}
     for channel in validation.ANGLES.values():
         i = fresh.state_names.index(channel)
         for name in ("true", "koopman", "linear"):
-            table[f"{channel}_{name}"] = runs[name][index, :, i] if name in runs else np.nan
+            table[f"{channel}_{name}"] = trajectories[name][index, :, i] if name in trajectories else np.nan
     return table
 
 
@@ -243,11 +252,15 @@ def _papers():
 
 
 def _remarks(model, rows):
-    lost = {row["model"]: row for row in rows if row["diverged"]}
-    for name, row in lost.items():
-        yield f"{row['diverged']} of {row['windows']} predictions of the {name} model ran away; the errors are those of the others."
+    diverged = {row["model"]: row for row in rows if row["diverged"]}
+    for name, row in diverged.items():
+        count = f"{row['diverged']} of {row['windows']}"
+        yield f"{count} predictions of the {name} model ran away; the errors are those of the others."
     radius = np.abs(model.eigenvalues).max()
     if radius > 1 + 1e-6:
-        yield f"K has an eigenvalue outside the unit circle ({radius:.6f}): it belongs to a function whose motion the dictionary cannot express."
+        yield (
+            f"K has an eigenvalue outside the unit circle ({radius:.6f}): "
+            "it belongs to a function whose motion the dictionary cannot express."
+        )
     if model.condition_number > 1e8:
-        yield f"The functions are nearly dependent on these data (condition number {model.condition_number:.0e})."
+        yield f"On these data the functions are nearly dependent (condition number {model.condition_number:.0e})."

@@ -1,4 +1,4 @@
-"""Pictures of one chosen model: what the explorer shows, and the vector field beside the true one. See `tras.figures`."""
+"""Pictures of one model: those of the explorer, and the vector field beside the true one. See `tras.figures`."""
 
 import io
 
@@ -9,17 +9,19 @@ from matplotlib.figure import Figure
 
 from tras.figures import LINEAR, MODEL, TRUTH, new_figure, require, styled
 
+_ANGLES = {"pitch": "phi", "yaw": "psi"}
 _ROLES = {"koopman": MODEL | {"label": "Koopman"}, "linear": LINEAR | {"label": "linear model"}}
 
 
 @styled()
 def outcome_figure(overlay, growth, spectrum):
-    """One model in four panels: truth and prediction of both angles, error against horizon, spectrum of K with the unit circle.
+    """One model in four panels: prediction of both angles, error against horizon, spectrum of K with the unit circle.
 
     Parameters
     ----------
     overlay : pandas.DataFrame
-        ``time`` (s) and in rad ``phi_true, phi_koopman, phi_linear`` and the same of ``psi``; a column of NaN is left out.
+        ``time`` (s) and in rad ``phi_true, phi_koopman, phi_linear`` and the same for ``psi``; columns of NaN are not
+        drawn.
     growth : pandas.DataFrame
         ``model`` ("Koopman" or "linear"), ``angle, time`` (s), ``nrmse`` (%).
     spectrum : pandas.DataFrame
@@ -28,16 +30,17 @@ def outcome_figure(overlay, growth, spectrum):
     Returns
     -------
     matplotlib.figure.Figure
-        Two columns wide: it is for the screen.
+        Two columns wide, for the screen.
     """
-    require(overlay, "overlay", ["time", *(f"{q}_{who}" for q in ("psi", "phi") for who in ("true", "koopman", "linear"))])
+    series = ("true", "koopman", "linear")
+    require(overlay, "overlay", ["time", *(f"{angle}_{name}" for angle in ("psi", "phi") for name in series)])
     require(growth, "growth", ["model", "angle", "time", "nrmse"])
     require(spectrum, "spectrum", ["model", "real", "imag"])
-    figure = Figure(figsize=(7.2, 3.9))  # places are given: to work them out takes longer than the fit
-    room = {"left": 0.08, "right": 0.985, "bottom": 0.115, "top": 0.9, "hspace": 0.48, "wspace": 0.24}
-    (yaw, error), (pitch, plane) = figure.subplots(2, 2, gridspec_kw=room)
-    for panel, angle, label in ((yaw, "psi", r"yaw $\psi$ (rad)"), (pitch, "phi", r"pitch $\phi$ (rad)")):
-        _overlay_panel(panel, overlay, angle, label)
+    figure = Figure(figsize=(7.2, 3.9))
+    layout = {"left": 0.08, "right": 0.985, "bottom": 0.115, "top": 0.9, "hspace": 0.48, "wspace": 0.24}
+    (yaw, error), (pitch, plane) = figure.subplots(2, 2, gridspec_kw=layout)  # to compute it takes longer than the fit
+    _overlay_panel(yaw, overlay, "psi", r"yaw $\psi$ (rad)")
+    _overlay_panel(pitch, overlay, "phi", r"pitch $\phi$ (rad)")
     _error_panel(error, growth)
     _spectrum_panel(plane, spectrum)
     figure.legend(*yaw.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(0.07, 0.995), ncols=3)
@@ -56,11 +59,10 @@ def png(figure, dpi=130):
 def _overlay_panel(panel, overlay, angle, label):
     true = overlay[f"{angle}_true"]
     panel.plot(overlay["time"], true, **TRUTH, label="truth", zorder=3)
-    for who, style in _ROLES.items():
-        if overlay[f"{angle}_{who}"].notna().any():
-            panel.plot(overlay["time"], overlay[f"{angle}_{who}"], **style)
-    # A prediction that runs away must not squeeze the truth to a line.
-    margin = 0.6 * max(np.ptp(true), 0.05)
+    for name, style in _ROLES.items():
+        if overlay[f"{angle}_{name}"].notna().any():
+            panel.plot(overlay["time"], overlay[f"{angle}_{name}"], **style)
+    margin = 0.6 * max(np.ptp(true), 0.05)  # a prediction that diverges must not squeeze the truth to a line
     low, high = panel.get_ylim()
     panel.set_ylim(max(low, true.min() - margin), min(high, true.max() + margin))
     panel.set(xlabel="time (s)", ylabel=label, xlim=(overlay["time"].min(), overlay["time"].max()))
@@ -82,9 +84,10 @@ def _error_panel(panel, growth):
 def _spectrum_panel(panel, spectrum):
     circle = np.linspace(0, 2 * np.pi, 2001)
     panel.plot(np.cos(circle), np.sin(circle), color="0.6", linestyle="-", linewidth=0.7)
-    markers = {"Koopman": {"marker": "o", "markerfacecolor": "none", "markersize": 5}, "linear": {"marker": "x", "markersize": 4}}
+    circles, crosses = {"marker": "o", "markerfacecolor": "none", "markersize": 5}, {"marker": "x", "markersize": 4}
     for name, group in spectrum.groupby("model", sort=False):
-        panel.plot(group["real"], group["imag"], linestyle="none", color=_ROLES[name.lower()]["color"], **markers[name])
+        look = {"color": _ROLES[name.lower()]["color"], **(crosses if name == "linear" else circles)}
+        panel.plot(group["real"], group["imag"], linestyle="none", **look)
     left, right = min(spectrum["real"].min(), 1), max(spectrum["real"].max(), 1)
     reach = max(1.25 * spectrum["imag"].abs().max(), 0.6 * (right - left), 1e-3)
     side = 0.08 * (right - left) + 0.25 * reach
@@ -94,7 +97,7 @@ def _spectrum_panel(panel, spectrum):
 
 @styled()
 def portrait_figure(table):
-    """The true vector field and identified ones, a row for each plane: lines follow the field, the colour is the error of the acceleration.
+    """The true and the identified vector fields, one row per plane; the colour is the error of the acceleration.
 
     Parameters
     ----------
@@ -107,22 +110,22 @@ def portrait_figure(table):
     """
     require(table, "table", ["model", "plane", "angle", "rate", "d_angle", "d_rate", "error"])
     names = list(dict.fromkeys(table["model"]))
-    planes = {"pitch": (r"pitch $\phi$ (rad)", r"$\dot\phi$ (rad/s)"), "yaw": (r"yaw $\psi$ (rad)", r"$\dot\psi$ (rad/s)")}
+    labels = {plane: (rf"{plane} $\{angle}$ (rad)", rf"$\dot\{angle}$ (rad/s)") for plane, angle in _ANGLES.items()}
     figure, axes = new_figure(height=3.5, rows=2, columns=len(names), squeeze=False, sharex="row", sharey="row")
     errors = table["error"][table["model"] != "true"]
     norm = LogNorm(max(errors.quantile(0.02), 1e-6), max(errors.max(), 2e-6)) if len(errors) else None
-    coloured = None
-    for row, (plane, (across, up)) in zip(axes, planes.items()):
+    mesh = None
+    for row, (plane, (across, up)) in zip(axes, labels.items()):
         for panel, name in zip(row, names):
-            drawn = _portrait_panel(panel, table[(table["model"] == name) & (table["plane"] == plane)], norm if name != "true" else None)
-            coloured = drawn or coloured
+            cells = table[(table["model"] == name) & (table["plane"] == plane)]
+            mesh = _portrait_panel(panel, cells, norm if name != "true" else None) or mesh
             panel.set_xlabel(across)
         row[0].set_ylabel(up)
     for panel, name in zip(axes[0], names):
         panel.set_title(name)
-    if coloured:
-        look = {"location": "bottom", "shrink": 0.9, "aspect": 35, "format": "{x:g}"}  # no powers: an index would be too small to read
-        bar = figure.colorbar(coloured, ax=axes.ravel().tolist(), label="error of the acceleration (rad/s²)", **look)
+    if mesh:
+        look = {"location": "bottom", "shrink": 0.9, "aspect": 35, "format": "{x:g}"}  # exponents would be illegible
+        bar = figure.colorbar(mesh, ax=axes.ravel().tolist(), label="error of the acceleration (rad/s²)", **look)
         bar.ax.minorticks_off()
     return figure
 
@@ -130,11 +133,13 @@ def portrait_figure(table):
 def _portrait_panel(panel, cells, norm):
     first, second = (np.unique(cells[name]) for name in ("angle", "rate"))
     fields = {name: cells[name].to_numpy().reshape(len(second), len(first)) for name in ("d_angle", "d_rate", "error")}
-    drawn = None
+    mesh = None
     if norm:
-        drawn = panel.pcolormesh(first, second, np.maximum(fields["error"], norm.vmin), norm=norm, cmap="YlOrRd", shading="gouraud", rasterized=True)
-    # Even steps to the last bit, as streamplot wants them.
+        look = {"norm": norm, "cmap": "YlOrRd", "shading": "gouraud", "rasterized": True}
+        mesh = panel.pcolormesh(first, second, np.maximum(fields["error"], norm.vmin), **look)
+    # streamplot requires steps that are equal to the last bit.
     even = [np.linspace(values[0], values[-1], len(values)) for values in (first, second)]
-    panel.streamplot(*even, fields["d_angle"], fields["d_rate"], density=0.55, color="0.15", linewidth=0.6, arrowsize=0.5)
+    look = {"density": 0.55, "color": "0.15", "linewidth": 0.6, "arrowsize": 0.5}
+    panel.streamplot(*even, fields["d_angle"], fields["d_rate"], **look)
     panel.set(xlim=(first[0], first[-1]), ylim=(second[0], second[-1]))
-    return drawn
+    return mesh

@@ -1,8 +1,8 @@
 """The twin rotor: parameters, equations of motion, energy, linearisation, rest point, simulation (paper, Sec. II).
 
-``phi`` is pitch (elevation), ``psi`` is yaw (azimuth); the state is ``x = [phi, phidot, psi, psidot]`` in rad and rad/s, the
-input is the pair of torques ``u = [u_phi, u_psi]`` in N m. The equations are the paper's with its misprints repaired;
-``docs/paper.md`` lists every repair with its reason.
+``phi`` is pitch (elevation), ``psi`` is yaw (azimuth). The state is ``x = [phi, phidot, psi, psidot]`` in rad and
+rad/s, the input is the pair of torques ``u = [u_phi, u_psi]`` in N m. The equations are the paper's with its
+misprints repaired; ``docs/paper.md`` lists every repair with its reason.
 """
 
 import math
@@ -15,20 +15,21 @@ STATE_NAMES = ("phi", "phidot", "psi", "psidot")
 STATE_UNITS = ("rad", "rad/s", "rad", "rad/s")
 TORQUE_NAMES = ("u_phi", "u_psi")
 TORQUE_UNITS = ("N m", "N m")
+LUMPED = ("J", "J_psi0", "J_phi", "G_c", "G_s", "C_phi", "C_psi", "K_psi")
 
-# The longest step is _STEP seconds at _SPEED rad/s and falls as speed**-_POWER, speed being what the rig could reach in _AHEAD
-# seconds: measured on random runs of 6 s up to 31 rad/s and 540 rad/s^2, the cheapest that keeps errors below 1e-9.
-# In ordinary runs 4 % of the samples take a second step.
+# The longest step is _STEP seconds at _SPEED rad/s and falls as speed**-_POWER, where speed is what the rig could
+# reach in _AHEAD seconds. This is the cheapest rule that keeps errors below 1e-9, measured on random runs of 6 s up
+# to 31 rad/s and 540 rad/s^2. In ordinary runs 4 % of the samples take a second step.
 _STEP, _SPEED, _POWER, _AHEAD = 0.01, 1.5, 1.2, 0.1
-_FASTEST = 1e3  # rad/s: beyond it no rig, and no end to the steps
+_FASTEST = 1e3  # rad/s: no rig is faster, and the steps would never end
 
 
 @dataclass(frozen=True)
 class PlantParameters:
     """The eight lumped parameters of the twin rotor, SI units, and the torque limits. Default: the set TRAS-A.
 
-    Masses and lengths are not separately identifiable from motion; only these eight numbers are. Seven come from a public
-    TRAS model, ``K_psi`` is an estimate from a rig's record and good to a factor of two (``docs/paper.md``).
+    Motion identifies these eight numbers, not the single masses and lengths. Seven come from a public TRAS model;
+    ``K_psi`` is an estimate from a rig's record and good to a factor of two (``docs/paper.md``).
 
     Parameters
     ----------
@@ -46,7 +47,7 @@ class PlantParameters:
     Raises
     ------
     ValueError
-        If a value is not finite, an inertia is not positive, a friction or stiffness is negative, or limits are reversed.
+        If a value is not finite, an inertia not positive, a friction or stiffness negative, or limits are reversed.
 
     Examples
     --------
@@ -65,11 +66,11 @@ class PlantParameters:
     u_phi_limits: tuple[float, float] = (-0.144, 0.207)
     u_psi_limits: tuple[float, float] = (-0.241, 0.140)
 
-    # No field: every plant but `PrintedPlant` has the corrected term, and its parameters are the eight above.
+    # No field: it belongs to the class, `PrintedPlant` has another.
     velocity_term: ClassVar[str] = "corrected"
 
     def __post_init__(self):
-        for name in ("J", "J_psi0", "J_phi", "G_c", "G_s", "C_phi", "C_psi", "K_psi"):
+        for name in LUMPED:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
                 raise ValueError(f"{name} is {value!r}; give a finite number in SI units.")
@@ -85,8 +86,8 @@ class PlantParameters:
     def from_masses(cls, *, m_m, m_t, m_cw, l_m, l_t, l_cw, J_x, J_z, C_phi, C_psi, K_psi, g=9.81, **limits):
         """Lump masses (kg), lengths (m) and the remaining inertias ``J_x``, ``J_z`` (kg m^2) as in the paper's Sec. II.
 
-        ``m_cw`` is the mass of ONE of the two counterweights. The paper prints ``2 m_cw l_cw`` in the inertias; the square
-        of the length, used here, is what the units require.
+        ``m_cw`` is the mass of ONE of the two counterweights. The paper prints ``2 m_cw l_cw`` in the inertias; the
+        units require the square of the length, used here.
         """
         beam = m_m * l_m**2 + m_t * l_t**2
         levers = 2 * m_cw * l_cw**2
@@ -103,7 +104,7 @@ class PlantParameters:
         )
 
     def masses(self, *, l_m=0.202, l_t=0.216, l_cw=0.25, g=9.81):
-        """One physical set that `from_masses` lumps into these parameters, given the three lengths in m.
+        """A set of masses that `from_masses` lumps into these parameters, for three lengths in m.
 
         Returns
         -------
@@ -132,56 +133,56 @@ class PlantParameters:
 
 @dataclass(frozen=True)
 class PrintedPlant(PlantParameters):
-    """The rig with ``J psi^2 / 2 sin 2 phi`` in the pitch equation, as the paper prints it, in place of ``J psidot^2 / 2 sin 2 phi``.
+    """The rig with the pitch equation as printed: ``J psi^2 / 2 sin 2 phi`` in place of ``J psidot^2 / 2 sin 2 phi``.
 
-    Everything else is as in `PlantParameters`, and every function here takes it in its place. The printed term has the unit of a torque
-    times s^2 and is no physics: a pitch torque that depends on yaw, without its counterpart in the yaw equation, so a closed path can gain
-    energy, ``d(energy)/dt`` being off by ``J/2 (psidot^2 - psi^2) phidot sin 2 phi``. It is here to show that the repair is needed.
+    Everything else is as in `PlantParameters`, and every function here accepts either. The class is here to show that
+    the repair is needed. The printed term has the unit of a torque times s^2 and contradicts mechanics: it is a pitch
+    torque that depends on yaw, without its counterpart in the yaw equation, so a closed path can gain energy;
+    ``d(energy)/dt`` is off by ``J/2 (psidot^2 - psi^2) phidot sin 2 phi``.
 
     Examples
     --------
-    >>> plant = PrintedPlant()
-    >>> float(vector_field([0.5, 0, 1, 0], [0, 0], plant)[1] - vector_field([0.5, 0, 1, 0], [0, 0], PlantParameters())[1])
+    >>> x, u = [0.5, 0, 1, 0], [0, 0]
+    >>> float(vector_field(x, u, PrintedPlant())[1] - vector_field(x, u, PlantParameters())[1])
     -0.333
     """
 
     velocity_term: ClassVar[str] = "as_printed"
 
     def as_dict(self):
-        """Name -> value, for provenance; says that the term is the printed one."""
+        """Name -> value, for provenance, with the velocity term."""
         return {**super().as_dict(), "velocity_term": self.velocity_term}
 
 
 def torque_limits(name, limits):
-    """``limits`` as two floats, or a sentence that says what is wrong with them."""
+    """``limits`` as two floats; raises a ValueError unless they are finite torques in order."""
     try:
         low, high = map(float, limits)
     except (TypeError, ValueError):
         low = high = math.nan
     if not (low < high and math.isfinite(high - low)):
-        raise ValueError(f"{name} is {limits!r}; give (lowest, highest), two finite torques in N m, the lower one first.")
+        raise ValueError(f"{name} is {limits!r}; give (lowest, highest), two finite torques in N m.")
     return low, high
 
 
 def equations_of_motion(parameters, functions=np):
     """The accelerations as a function of six scalars or arrays (paper, Sec. II, corrected).
 
-    Written once and used everywhere: with ``functions=math`` on floats (the fast simulation), with ``numpy`` on arrays
-    (many states at once), with ``sympy`` or ``mpmath`` in the tests.
+    They are written once: ``functions=math`` takes floats (the fast simulation), ``numpy`` takes arrays (many states at
+    once), ``sympy`` and ``mpmath`` serve the tests.
 
     Parameters
     ----------
     parameters : PlantParameters
     functions : module
-        Supplies ``sin`` and ``cos`` for the type of number that will be handed in.
+        Supplies ``sin`` and ``cos`` for the type of the arguments.
 
     Returns
     -------
     callable
         ``(phi, phidot, psi, psidot, u_phi, u_psi) -> (phiddot, psiddot)`` in rad/s^2.
     """
-    p = parameters
-    J, J_psi0, J_phi, G_c, G_s, C_phi, C_psi, K_psi = p.J, p.J_psi0, p.J_phi, p.G_c, p.G_s, p.C_phi, p.C_psi, p.K_psi
+    J, J_psi0, J_phi, G_c, G_s, C_phi, C_psi, K_psi = (getattr(parameters, name) for name in LUMPED)
     sin, cos = functions.sin, functions.cos
 
     def accelerations(phi, phidot, psi, psidot, u_phi, u_psi):
@@ -196,7 +197,7 @@ def equations_of_motion(parameters, functions=np):
         pitch, yaw = accelerations(phi, phidot, psi, psidot, u_phi, u_psi)
         return pitch + J * (psidot * psidot - psi * psi) * sin(phi) * cos(phi) / J_phi, yaw
 
-    return as_printed if getattr(p, "velocity_term", "corrected") == "as_printed" else accelerations
+    return as_printed if getattr(parameters, "velocity_term", "corrected") == "as_printed" else accelerations
 
 
 def vector_field(x, u, parameters):
@@ -244,13 +245,12 @@ def rest_point(parameters, torques=(0.0, 0.0)):
     Raises
     ------
     ValueError
-        If ``u_phi`` exceeds what gravity can balance, there is no gravity torque, or ``u_psi`` is not zero on a rig without a yaw
-        spring.
+        If gravity cannot balance ``u_phi``, or ``u_psi`` is not zero on a rig without a yaw spring.
     """
     u_phi, u_psi = _array("torques", torques, 2).tolist()
     gravity = math.hypot(parameters.G_c, parameters.G_s)
     if gravity == 0:
-        raise ValueError("G_c and G_s are both 0, so no pitch angle is more at rest than another; give the rig a gravity torque.")
+        raise ValueError("G_c and G_s are both 0, so no pitch angle is the rest point; give the rig a gravity torque.")
     if abs(u_phi) > gravity:
         raise ValueError(f"u_phi = {u_phi} N m has no rest point: gravity balances at most {gravity:.6g} N m.")
     if parameters.K_psi == 0 and u_psi != 0:
@@ -260,14 +260,14 @@ def rest_point(parameters, torques=(0.0, 0.0)):
 
 
 def simulate_plant(x0, torques, dt, parameters, *, step=0.01):
-    """States at the sampling instants, each torque held over the sample that it starts.
+    """States at the sampling instants under torques that are held from one sample to the next.
 
     Parameters
     ----------
     x0 : (..., 4) array_like
         Initial states in rad and rad/s; leading axes run many simulations at once.
     torques : (..., samples, 2) array_like
-        Torques in N m. They are applied as they are: limits belong to the controller. The last one acts on nothing.
+        Torques in N m, not limited: limits belong to the controller. The last one has no effect.
     dt : float
         Sampling time in s.
     parameters : PlantParameters
@@ -281,8 +281,8 @@ def simulate_plant(x0, torques, dt, parameters, *, step=0.01):
     Raises
     ------
     ValueError
-        On wrong shapes, non-finite values, a ``dt`` or ``step`` that is not positive, or torques that make the rig faster than
-        1000 rad/s.
+        On wrong shapes, non-finite values, a ``dt`` or ``step`` that is not positive, or torques that make the rig
+        faster than 1000 rad/s.
 
     Examples
     --------
@@ -296,13 +296,13 @@ def simulate_plant(x0, torques, dt, parameters, *, step=0.01):
     batch = np.broadcast_shapes(x0.shape[:-1], torques.shape[:-2])
     advance = stepper(parameters, dt, step=step, functions=np if batch else math)
     x = np.moveaxis(np.broadcast_to(x0, (*batch, 4)), -1, 0)
-    held = np.moveaxis(np.broadcast_to(torques, (*batch, *torques.shape[-2:])), (-2, -1), (0, 1))
+    u = np.moveaxis(np.broadcast_to(torques, (*batch, *torques.shape[-2:])), (-2, -1), (0, 1))
     if not batch:  # one run: plain floats are ten times as fast as arrays of one
-        x, held = x.tolist(), held.tolist()
+        x, u = x.tolist(), u.tolist()
     states = [x]
-    with np.errstate(over="ignore", invalid="ignore"):  # `advance` says so itself
-        for u in held[:-1]:
-            states.append(advance(states[-1], u))
+    with np.errstate(over="ignore", invalid="ignore"):  # `advance` raises
+        for sample in u[:-1]:
+            states.append(advance(states[-1], sample))
     return np.moveaxis(np.array(states), (0, 1), (-2, -1))
 
 
@@ -310,12 +310,13 @@ def stepper(parameters, dt, *, step=0.01, functions=math):
     """The flow over one sample as ``advance((phi, phidot, psi, psidot), (u_phi, u_psi)) -> tuple``, torques held.
 
     Butcher's explicit Runge-Kutta method of order 6 with seven stages (J. C. Butcher, J. Austral. Math. Soc. 4, 1964,
-    p. 192), in steps of at most ``step`` seconds. Where the rig is faster than 1.5 rad/s they become shorter, chosen anew at each
-    step from the speed that 0.1 s of the present acceleration leads to: 0.01 s at 1.5 rad/s, 1 ms at 10 rad/s, 0.45 ms at 20 rad/s.
+    p. 192), in steps of at most ``step`` seconds. Where the rig is faster than 1.5 rad/s the steps are shorter. Each
+    is chosen from the speed that 0.1 s of the present acceleration leads to: 0.01 s at 1.5 rad/s, 1 ms at 10 rad/s,
+    0.45 ms at 20 rad/s.
 
-    With TRAS-A, torques within its limits, any ``dt`` and ``step`` up to 0.01 s the error over 6 s is at most 1e-9 (rad, rad/s):
-    measured on 480 random motions with rates of up to 10 rad/s at the start. On five of them, which tumble or magnify every
-    disturbance thousands of times, DOP853 at rtol 1e-12 is the less exact one and up to 5e-8 away.
+    With TRAS-A, torques within its limits, any ``dt``, and ``step`` up to 0.01 s, the error over 6 s is at most 1e-9
+    (rad, rad/s), measured on 480 random motions with initial rates of up to 10 rad/s. On five of them, which tumble
+    or magnify every disturbance thousands of times, DOP853 at rtol 1e-12 is less exact and up to 5e-8 away.
 
     Parameters
     ----------
@@ -323,12 +324,12 @@ def stepper(parameters, dt, *, step=0.01, functions=math):
     dt, step : float
         Sampling time and longest step in s.
     functions : module
-        ``math`` for floats, ``numpy`` for arrays of many rigs at once (then all take the steps of the fastest one).
+        ``math`` for floats, ``numpy`` for arrays of many runs at once (then all take the steps of the fastest one).
 
     Raises
     ------
     ValueError
-        If ``dt`` or ``step`` is not positive; by ``advance``, if the rig gets faster than 1000 rad/s or a number infinite.
+        If ``dt`` or ``step`` is not positive; by ``advance``, if the rig gets faster than 1000 rad/s.
     """
     for name, value in (("dt", dt), ("step", step)):
         if not (math.isfinite(value) and value > 0):
@@ -403,7 +404,7 @@ def _largest(*arrays):
 
 
 def _array(name, values, width):
-    """``values`` as floats with the last axis ``width`` long and all finite, or a sentence that says what is wrong."""
+    """``values`` as floats; raises a ValueError unless all are finite and the last axis has ``width`` of them."""
     array = np.asarray(values, dtype=float)
     if array.ndim == 0 or array.shape[-1] != width:
         raise ValueError(f"{name} has shape {array.shape}; its last axis must hold {width} values.")

@@ -1,8 +1,9 @@
-"""The identified vector field beside the true one, in two planes of the state space. The table behind the phase portraits.
+"""The identified vector field beside the true one in two planes of the state space, for the phase portraits.
 
-In each plane one angle and its rate vary over the range of the training data while everything else is held (`PLANES`) and the inputs are zero.
-With torques the truth is the plant itself. With references it is the plant with the controller in the loop, whose integrators just hold the balance
-at the reference: they are no states of the model, so there is no other truth in these coordinates.
+In each plane one angle and its rate vary over the range of the training data; the other states are fixed (`PLANES`) and
+the inputs are zero. With torques the truth is the plant itself. With references it is the plant with the controller in
+the loop. The controller's integrators are no states of the model; they take the values that balance the reference,
+because these coordinates admit no other truth.
 """
 
 import numpy as np
@@ -14,25 +15,25 @@ from tras.explore import identify, training
 from tras.plant import STATE_NAMES, TORQUE_NAMES, PlantParameters, vector_field
 
 NAMES = {
-    "gaussian": "Gaussian RBF", "linear": "linear", "monomials": "monomials", "exponentials": "exponentials", "fourier": "Fourier",
-    "mechanical": "mechanical",
+    "gaussian": "Gaussian RBF", "linear": "linear", "monomials": "monomials", "exponentials": "exponentials",
+    "fourier": "Fourier", "mechanical": "mechanical",
 }  # fmt: skip
-# plane -> (the angle, its rate, what the other two states are held at)
+# plane -> (the angle, its rate, values of the other two states)
 PLANES = {
     "pitch": ("phi", "phidot", {"psi": 0.0, "psidot": 0.0}),
-    "yaw": ("psi", "psidot", {"phi": 0.8, "phidot": 0.0}),  # rad: the inertia of yaw is half of that at level beam
+    "yaw": ("psi", "psidot", {"phi": 0.8, "phidot": 0.0}),  # rad: half the yaw inertia of the level beam
 }
 
 
 def has_field(model):
-    """Whether `portrait` can show a model: the four states, no delays, and a vector field."""
+    """Whether `portrait` can show a model: four states, no delays, and a vector field."""
     return model.predictor == "vector_field" and not model.delays and model.state_names_ == STATE_NAMES
 
 
 def compared(outcome):
-    """Two models whose fields are worth a look beside the truth: the chosen one and the one made for mechanics, as far as there are such.
+    """Two models whose fields are worth a look beside the truth: the chosen one and the mechanical one.
 
-    In their place comes a linear one, from data without noise if need be.
+    A linear model, if need be from data without noise, takes the place of one that has no field.
 
     Parameters
     ----------
@@ -41,36 +42,37 @@ def compared(outcome):
     Returns
     -------
     dict of str to KoopmanModel
-        One or two, by the names of their dictionaries.
+        One or two models by the names of their dictionaries.
     """
     choice = outcome.choice.replaced(state="four_states", delays=0, predictor="vector_field", regularization="none")
     mechanical = choice.replaced(dictionary="mechanical", size=8, field="coordinates", extrapolation="functions")
     linear = choice.replaced(dictionary="linear")
-    found = {NAMES[outcome.choice.dictionary]: outcome.model} if has_field(outcome.model) else {}
+    models = {NAMES[outcome.choice.dictionary]: outcome.model} if has_field(outcome.model) else {}
     for other in (mechanical, linear, linear.replaced(noise=0.0)):
-        if len(found) < 2 and NAMES[other.dictionary] not in found:
+        if len(models) < 2 and NAMES[other.dictionary] not in models:
             try:
-                found[NAMES[other.dictionary]] = identify(other, training(other))
+                models[NAMES[other.dictionary]] = identify(other, training(other))
             except ChoiceError:
                 pass
-    return found
+    return models
 
 
 def portrait(models, *, points=25):
-    """The fields on a grid, and how far the identified ones are off.
+    """The fields on a grid, and the errors of the identified ones.
 
     Parameters
     ----------
     models : dict of str to KoopmanModel
         Name -> model with `has_field`; all with the same inputs.
     points : int
-        In each direction.
+        Grid points per direction.
 
     Returns
     -------
     pandas.DataFrame
-        Columns ``model`` ("true" first), ``plane`` ("pitch" or "yaw"), ``angle`` (rad), ``rate`` (rad/s), their derivatives ``d_angle`` (rad/s) and
-        ``d_rate`` (rad/s^2), and ``error`` (rad/s^2): the identified minus the true ``d_rate``, absolute.
+        Columns ``model`` ("true" first), ``plane`` ("pitch" or "yaw"), ``angle`` (rad), ``rate`` (rad/s), their
+        derivatives ``d_angle`` (rad/s) and ``d_rate`` (rad/s^2), and ``error`` (rad/s^2): the absolute difference
+        between the identified and the true ``d_rate``.
 
     Raises
     ------
@@ -79,25 +81,30 @@ def portrait(models, *, points=25):
     """
     for name, model in models.items():
         if not has_field(model):
-            raise ValueError(f"{name}: only a model of the four states without delays, with predictor = vector_field, has a field to show.")
+            raise ValueError(
+                f"{name}: only a model of the four states without delays, with predictor = vector_field, "
+                "has a field to show."
+            )
     if len({model.input_names_ for model in models.values()}) != 1:
         raise ValueError("models have different inputs, or there are none; give models of the same inputs.")
     reference = next(iter(models.values()))
     true = vector_field_of(reference.input_names_)
     parts = []
-    for plane, (angle, rate, held) in PLANES.items():
-        x = _grid(reference, angle, rate, held, points)
+    for plane, (angle, rate, others) in PLANES.items():
+        x = _grid(reference, angle, rate, others, points)
         u = np.zeros((len(x), len(reference.input_names_)))
         i, j = STATE_NAMES.index(angle), STATE_NAMES.index(rate)
         truth = true(x, u)
-        for name, field in {"true": truth, **{name: model.vector_field(x, u) for name, model in models.items()}}.items():
-            columns = {"angle": x[:, i], "rate": x[:, j], "d_angle": field[:, i], "d_rate": field[:, j], "error": np.abs(field[:, j] - truth[:, j])}
+        fields = {"true": truth, **{name: model.vector_field(x, u) for name, model in models.items()}}
+        for name, field in fields.items():
+            columns = {"angle": x[:, i], "rate": x[:, j], "d_angle": field[:, i], "d_rate": field[:, j]}
+            columns["error"] = np.abs(field[:, j] - truth[:, j])
             parts.append(pd.DataFrame({"model": name, "plane": plane, **columns}))
     return pd.concat(parts, ignore_index=True)
 
 
 def vector_field_of(input_names, parameters=None):
-    """The true field for these inputs: (..., 4), (..., 2) -> (..., 4). Of the plant, or of the loop with its integrators in balance.
+    """The true field for these inputs, (..., 4), (..., 2) -> (..., 4): of the plant, or of the loop in balance.
 
     Examples
     --------
@@ -124,9 +131,10 @@ def vector_field_of(input_names, parameters=None):
     return closed
 
 
-def _grid(model, angle, rate, held, points):
+def _grid(model, angle, rate, others, points):
     """States (points^2, 4) over the range of the training data."""
-    axes = [model.x_offset_[k] + model.x_scale_[k] * np.linspace(-1, 1, points) for k in map(STATE_NAMES.index, (angle, rate))]
+    indices = map(STATE_NAMES.index, (angle, rate))
+    axes = [model.x_offset_[k] + model.x_scale_[k] * np.linspace(-1, 1, points) for k in indices]
     first, second = (values.ravel() for values in np.meshgrid(*axes))
-    columns = {angle: first, rate: second, **{name: np.full(first.shape, value) for name, value in held.items()}}
+    columns = {angle: first, rate: second, **{name: np.full(first.shape, value) for name, value in others.items()}}
     return np.stack([columns[name] for name in STATE_NAMES], axis=-1)

@@ -1,7 +1,7 @@
-"""What the paper's text leaves open, as named options: each a point of the text, with its choices and one default.
+"""What the paper's text leaves open, as named options: one per point of the text, with its choices and a default.
 
-A set of choices is a `Readings`; `table` shows what there is, with the sentence of the paper that each option reads; `read_yaml` takes a
-file such as ``params/readings.yaml``. The study of all of them is `tras.grid`.
+A `Readings` holds one choice per option; `table` lists the choices beside the paper's sentence that the option reads;
+`read_yaml` reads them from a parameter file. `tras.grid` studies all combinations.
 """
 
 from difflib import get_close_matches
@@ -10,27 +10,36 @@ from typing import Literal
 
 import pydantic
 
-# option -> (the paper's own words, {choice: what it means}); the default is the first choice.
+# option -> (the paper's own words, {choice: what it means}), the default first
 OPTIONS = {
     "input": (
-        "In our study, we incorporate two controlled inputs: yaw input  $(u_1)$  and pitch input  $(u_2)$ , both measured in radians.",
+        "In our study, we incorporate two controlled inputs: yaw input  $(u_1)$  and pitch input  $(u_2)$ , both "
+        "measured in radians.",
         {
-            "reference": "the reference angles in rad, as the sentence says; with the PID inside the loop the four states are then not closed",
+            "reference": "the reference angles in rad, as the sentence says; "
+            "with the PID inside the loop the four states are then not closed",
             "torque": "the torques in N m that act on the plant, whose motion they determine exactly",
         },
     ),
     "frequency_unit": (
-        "The maximum frequency of  $u_1$  and  $u_2$  are 0.8 and 0.2 rad/cycle respectively while minimum frequency is 0 rad/cycle.",
-        {"rad/s": "63 lines in yaw and 15 in pitch over 500 s, no saturation", "Hz": "2 pi times higher: 400 and 100 lines, yaw often saturated"},
+        "The maximum frequency of  $u_1$  and  $u_2$  are 0.8 and 0.2 rad/cycle respectively while minimum frequency "
+        "is 0 rad/cycle.",
+        {
+            "rad/s": "63 lines in yaw and 15 in pitch over 500 s, no saturation",
+            "Hz": "2 pi times higher: 400 and 100 lines, yaw often saturated",
+        },
     ),
     "dictionary": (
-        'This involved employing a "Gauss radial basis function (RBF)" of maximum degree  $w = 2$  in conjunction with the training data gathered.',
+        'This involved employing a "Gauss radial basis function (RBF)" of maximum degree  $w = 2$  in conjunction '
+        "with the training data gathered.",
         {
-            "gaussian": "two Gaussians of width 1 at random centres beside constant, states and inputs, N = 9, as in the public code of the method",
+            "gaussian": "two Gaussians of width 1 at random centres beside constant, states and inputs, N = 9, "
+            "as in the public code of the method",
             "gaussian28": "28 Gaussians, as many as there are monomials of degree 2",
             "monomials2": "the 28 monomials of degree 2 in 4 states and 2 inputs, by which the text counts",
             "monomials3": "the 84 monomials of degree 3",
-            "exponentials": 'one growing and one falling exponential a channel, N = 19; the text names "exponentials" too',
+            "exponentials": "one growing and one falling exponential per channel, N = 19; "
+            'the text names "exponentials" too',
             "linear": "constant, states and inputs alone, N = 7: the measure of what the other functions add",
         },
     ),
@@ -42,8 +51,9 @@ OPTIONS = {
         },
     ),
     "horizon": (
-        "Under identical initial conditions and control inputs, the Koopman-based model's projected position (blue) is superimposed on the "
-        "measured  $\\phi$  and  $\\psi$  angles of the TRAS during a 6-second time window (black, dotted).",
+        "Under identical initial conditions and control inputs, the Koopman-based model's projected position (blue) "
+        "is superimposed on the measured  $\\phi$  and  $\\psi$  angles of the TRAS during a 6-second time window "
+        "(black, dotted).",
         {
             "window": "6 s, each window from its own true initial state",
             "trajectory": "5 s, the trajectories as cut for the fit",
@@ -59,10 +69,14 @@ OPTIONS = {
     ),
     "velocity_term": (
         "\\ddot{\\psi} = (u_{\\phi} - J\\frac{\\psi^2}{2}\\sin(2\\phi) - C_{\\phi}\\dot{\\phi} - K_g g)/J_{\\phi}",
-        {"corrected": "the square of the yaw RATE, as mechanics demands", "as_printed": "the square of the yaw ANGLE, which creates energy"},
+        {
+            "corrected": "the square of the yaw RATE, as mechanics demands",
+            "as_printed": "the square of the yaw ANGLE, which creates energy",
+        },
     ),
     "angle_names": (
-        "Additionally, we focus on two outputs: yaw angle  $(\\phi)$  and pitch angle  $(\\psi)$ , measured in radians.",
+        "Additionally, we focus on two outputs: yaw angle  $(\\phi)$  and pitch angle  $(\\psi)$ , measured in "
+        "radians.",
         {
             "words": "4.0589 % belongs to yaw, 5.5889 % to pitch, as the words say",
             "symbols": "4.0589 % belongs to phi and 5.5889 % to psi; in the equations phi is pitch, psi yaw",
@@ -72,7 +86,7 @@ OPTIONS = {
 
 
 class ReadingError(ValueError):
-    """An option, or a choice, that the readings do not know."""
+    """An option or a choice that the readings do not have."""
 
 
 def choices(option):
@@ -87,25 +101,26 @@ def _field(option):
 
 
 class _Frozen(pydantic.BaseModel):
-    """Frozen, strict about names, and with errors of one sentence."""
+    """Frozen, strict about names, with errors of one sentence."""
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid")
 
-    def __init__(self, **given):
+    def __init__(self, **values):
         try:
-            super().__init__(**given)
+            super().__init__(**values)
         except pydantic.ValidationError as error:
-            raise ReadingError(_sentence(error.errors()[0], given)) from None
+            raise ReadingError(_sentence(error.errors()[0], values)) from None
 
     def __setattr__(self, option, choice):
-        raise ReadingError(f"{option} cannot be changed in place: readings.replaced({option}=...) gives changed ones.")
+        raise ReadingError(f"{option} cannot be changed in place: readings.replaced({option}=...) gives a copy.")
 
     def replaced(self, **changes):
         """A copy with other choices, checked."""
         return type(self)(**{**self.model_dump(), **changes})
 
 
-Readings = pydantic.create_model("Readings", __base__=_Frozen, __module__=__name__, **{option: _field(option) for option in OPTIONS})
+_FIELDS = {option: _field(option) for option in OPTIONS}
+Readings = pydantic.create_model("Readings", __base__=_Frozen, __module__=__name__, **_FIELDS)
 Readings.__doc__ = """One choice for every open point of the text, frozen and checked; the defaults are this project's.
 
 Parameters
@@ -116,7 +131,7 @@ input, frequency_unit, dictionary, state, horizon, nrmse_range, velocity_term, a
 Raises
 ------
 ReadingError
-    (a ValueError) For an unknown option or choice, in one sentence with the nearest name.
+    (a ValueError) For an unknown option or choice; the message suggests the nearest name.
 
 Examples
 --------
@@ -130,30 +145,32 @@ tras.readings.ReadingError: dictionary is 'monomial2': did you mean 'monomials2'
 
 
 def table():
-    """All options and choices, one row a choice.
+    """All options and choices, one row per choice.
 
     Returns
     -------
     pandas.DataFrame
-        Columns ``option, choice, default`` (True for one choice of each option), ``meaning, paper``: the sentence that the option reads.
+        Columns ``option, choice, default`` (True for one choice per option), ``meaning``, and ``paper``: the sentence
+        that the option reads.
     """
     import pandas as pd
 
     rows = [
-        {"option": option, "choice": choice, "default": choice == next(iter(meanings)), "meaning": meaning, "paper": sentence}
+        (option, choice, choice == choices(option)[0], meaning, sentence)
         for option, (sentence, meanings) in OPTIONS.items()
         for choice, meaning in meanings.items()
     ]
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows, columns=["option", "choice", "default", "meaning", "paper"])
 
 
 def markdown():
-    """The same for docs and notebooks: one row an option, the default first. Formulas stand in ``$...$``."""
+    """The options as a Markdown table for docs and notebooks, one row per option."""
     lines = ["| option | the paper | choices, the default first |", "| --- | --- | --- |"]
     for option, (sentence, meanings) in OPTIONS.items():
-        quoted = f"${sentence}$" if sentence.startswith("\\") or "\\frac" in sentence else f"“{' '.join(sentence.split())}”"
-        listed = "; ".join(f"`{choice}`: {meaning}" for choice, meaning in meanings.items())
-        lines.append(f"| `{option}` | {quoted} | {listed} |")
+        formula = sentence.startswith("\\") or "\\frac" in sentence
+        quotation = f"${sentence}$" if formula else f"“{' '.join(sentence.split())}”"
+        explained = "; ".join(f"`{choice}`: {meaning}" for choice, meaning in meanings.items())
+        lines.append(f"| `{option}` | {quotation} | {explained} |")
     return "\n".join(lines)
 
 
@@ -164,12 +181,13 @@ def read_yaml(path, *sections):
     ----------
     path : str or Path
     *sections : str
-        Keys that lead to the mapping of options, for example ``"06_readings", "default"``. Options left out have their default.
+        Keys that lead to the mapping of options, for example ``"06_readings", "default"``. Options left out take their
+        default.
 
     Raises
     ------
     ReadingError
-        If the file cannot be read, is no mapping, or names what does not exist; the sentence begins with the file's name.
+        If the file cannot be read, is no mapping, or names an unknown option or choice; the message names the file.
     """
     from tras.parameters import ParameterError, parse_yaml
 
@@ -182,38 +200,29 @@ def read_yaml(path, *sections):
         raise ReadingError(str(error)) from None
     for section in sections:
         if not isinstance(content, dict) or section not in content:
-            raise ReadingError(f"{path} has no section {section!r}: {_hint(section, content if isinstance(content, dict) else [])}")
+            names = content if isinstance(content, dict) else []
+            raise ReadingError(f"{path} has no section {section!r}: {_hint(section, names)}")
         content = content[section]
     if not isinstance(content or {}, dict):
-        raise ReadingError(f"{path} holds a {type(content).__name__}: write one `option: choice` a line.")
+        raise ReadingError(f"{path} holds a {type(content).__name__}: write one `option: choice` per line.")
     try:
         return Readings(**{str(name): choice for name, choice in (content or {}).items()})
     except ReadingError as error:
         raise ReadingError(f"{path}: {error}") from None
 
 
-def write_yaml(readings, path):
-    """Write all options with their choices, each under the choices that there are; `read_yaml` reads them back."""
-    from tras.files import replacing
-
-    lines = ["# One choice for each point that the paper leaves open; docs/paper.md says what they mean."]
-    lines += [f'{option}: "{choice}"  # {" | ".join(choices(option))}' for option, choice in readings.model_dump().items()]
-    with replacing(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def _sentence(problem, given):
-    """pydantic's first complaint as one sentence for the person who made the mistake."""
+def _sentence(problem, values):
+    """pydantic's first error as one sentence for the person who made the mistake."""
     option = str(problem["loc"][0])
     if problem["type"] == "extra_forbidden":
         return f"there is no reading {option!r}: {_hint(option, OPTIONS)}"
-    return f"{option} is {given[option]!r}: {_hint(given[option], choices(option))}"
+    return f"{option} is {values[option]!r}: {_hint(values[option], choices(option))}"
 
 
-def _hint(name, known):
-    known = list(map(str, known))
-    close = get_close_matches(str(name), known, 1)
-    return f"did you mean {close[0]!r}?" if close else f"choose one of {', '.join(known) or 'none'}."
+def _hint(name, names):
+    names = list(map(str, names))
+    close = get_close_matches(str(name), names, 1)
+    return f"did you mean {close[0]!r}?" if close else f"choose one of {', '.join(names) or 'none'}."
 
 
 BEGIN, END = "<!-- readings: written by `python -m tras.readings docs/paper.md` -->", "<!-- end of readings -->"
@@ -226,7 +235,9 @@ def main(arguments=None):
 
     from tras.files import write_between
 
-    parser = argparse.ArgumentParser(prog="python -m tras.readings", description="Write the table of readings into a document.")
+    parser = argparse.ArgumentParser(
+        prog="python -m tras.readings", description="Write the table of readings into a document."
+    )
     parser.add_argument("document", type=Path)
     try:
         write_between(parser.parse_args(arguments).document, BEGIN, END, markdown())

@@ -1,7 +1,7 @@
-"""The twin rotor as a thing in space: where its parts are, and how to draw them.
+"""The twin rotor in space: where its parts are, and how to draw them.
 
-The one convention of the whole project, seen here in three dimensions
------------------------------------------------------------------------
+The sign convention of the project
+----------------------------------
 PHI is PITCH and PSI is YAW. The origin is the pivot, where the pitch axis crosses the yaw axis; z points up.
 
 * phi = 0: the beam is level. **phi > 0 lifts the main rotor**, whose height is ``+l_m sin(phi)``; the tail rotor is at
@@ -9,13 +9,14 @@ PHI is PITCH and PSI is YAW. The origin is the pivot, where the pitch axis cross
 
       V = g [(m_m l_m - m_t l_t) sin(phi) - 2 m_cw l_cw cos(phi)],    dV/dphi = G_c cos(phi) + G_s sin(phi).
 
-  The main rotor's side is the heavier one (m_m l_m > m_t l_t), so that gravity pulls it down and the rig rests at
+  The main rotor's side is the heavier one (m_m l_m > m_t l_t), so gravity pulls it down and the rig rests at
   phi = -atan(G_c / G_s) = -0.491 rad, nose down.
-* psi > 0 turns the beam counter-clockwise when seen from above.
+* psi > 0 turns the beam counter-clockwise as seen from above.
 
-Beam coordinates (a, b, c) turn with the rig: a along the beam towards the main rotor, b along the pitch axis, c upwards at
-right angles to both. The four masses of the equations of motion lie in the plane b = 0, except the counterweights at
-b = +-0.061 m beside the pillar; that adds a constant 2 m_cw b^2 to the yaw inertia, a part of J_z, and nothing else.
+Beam coordinates (a, b, c) turn with the rig: a points along the beam towards the main rotor, b along the pitch axis,
+c upwards at right angles to both. The rotors' masses of the equations of motion lie in the plane b = 0, the
+counterweights beside the pillar at b = +-0.061 m; that only adds a constant 2 m_cw b^2 to the yaw inertia, a part of
+J_z.
 
 Only l_m, l_t and l_cw enter the dynamics. Every other length here (pillar, fork, radii) serves the picture.
 """
@@ -28,38 +29,31 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 from scipy.spatial import ConvexHull
 
-# The solid parts: (colour, smooth?). Smooth parts are round and show no edges along their sides. The colours differ in
-# lightness as well as in hue, so that the rotors stay apart in grey.
+# Solid part -> (colour, smooth?). Smooth parts are round and show no edges along their sides. The colours differ in
+# lightness as well as in hue, so the rotors differ in grey too.
 SOLIDS = {
-    "base": ("#d9d9d9", True),
-    "pillar": ("#c4c4c4", True),
-    "fork": ("#c4c4c4", False),
-    "left_ear": ("#c4c4c4", False),
-    "right_ear": ("#c4c4c4", False),
-    "hub": ("#8c8c8c", True),
-    "left_axle": ("#8c8c8c", True),
-    "right_axle": ("#8c8c8c", True),
-    "left_stub": ("#8c8c8c", True),
-    "right_stub": ("#8c8c8c", True),
-    "main_arm": ("#e8dfc8", False),
-    "tail_arm": ("#e8dfc8", False),
-    "left_lever": ("#e8dfc8", False),
-    "right_lever": ("#e8dfc8", False),
-    "left_weight": ("#6f6f6f", True),
-    "right_weight": ("#6f6f6f", True),
-    "main_motor": ("#8c8c8c", True),
-    "tail_motor": ("#8c8c8c", True),
-    "main_rotor": ("#7fb8dc", True),
-    "tail_rotor": ("#f0b86e", True),
-    "main_blades": ("#0b3c5d", False),
-    "tail_blades": ("#7a3d00", False),
+    name: (colour, smooth)
+    for colour, smooth, names in (
+        ("#d9d9d9", True, "base"),
+        ("#c4c4c4", True, "pillar"),
+        ("#c4c4c4", False, "fork left_ear right_ear"),
+        ("#8c8c8c", True, "hub left_axle right_axle left_stub right_stub"),
+        ("#e8dfc8", False, "main_arm tail_arm left_lever right_lever"),
+        ("#6f6f6f", True, "left_weight right_weight"),
+        ("#8c8c8c", True, "main_motor tail_motor"),
+        ("#7fb8dc", True, "main_rotor"),
+        ("#f0b86e", True, "tail_rotor"),
+        ("#0b3c5d", False, "main_blades"),
+        ("#7a3d00", False, "tail_blades"),
+    )
+    for name in names.split()
 }
-STATIC = ("base", "pillar")  # the parts that neither angle moves: an overlaid second rig need not repeat them
-ROTORS = ("main_rotor", "tail_rotor")  # the discs swept by the blades, drawn so that one sees through them
+STATIC = ("base", "pillar")  # neither angle moves these parts: an overlaid second rig need not repeat them
+ROTORS = ("main_rotor", "tail_rotor")  # the discs that the blades sweep, drawn translucent
 MASSES = ("main_mass", "tail_mass", "left_weight_mass", "right_weight_mass")
 
 FIGURE_POSE = (0.36, 0.60)  # pitch and yaw, rad, that show every part of the rig
-CAMERA = (np.radians(-26.0), np.radians(20.0))  # azimuth and elevation from which the rig is seen, rad
+CAMERA = (np.radians(-26.0), np.radians(20.0))  # azimuth and elevation of the viewer, rad
 LIGHT = np.array([0.25, -0.45, 0.86])  # direction towards the light, a unit vector to two digits
 
 _PILLAR_TOP, _BASE_TOP = -0.09, -0.33  # heights, m
@@ -74,17 +68,17 @@ def rig_geometry(phi, psi, *, l_m=0.202, l_t=0.216, l_cw=0.25):
     phi : float
         PITCH in rad, positive with the main rotor up.
     psi : float
-        YAW in rad, positive counter-clockwise seen from above.
+        YAW in rad, positive counter-clockwise as seen from above.
     l_m, l_t, l_cw : float
         Distances in m from the pivot to the main rotor, the tail rotor and the counterweights.
 
     Returns
     -------
     pandas.DataFrame
-        Columns ``part`` (name), ``point`` (number within the part), ``x``, ``y``, ``z`` in m. Solid parts (`SOLIDS`) are
-        prisms: the first half of their points is one end face, the second half the opposite one. `MASSES` are single
-        points, the masses of the equations of motion. The rest are lines: both axes, reference lines and arcs of both
-        angles, torques and thrusts, each of the last four in its positive direction.
+        Columns ``part`` (name), ``point`` (number within the part), ``x``, ``y``, ``z`` in m. Solid parts (`SOLIDS`)
+        are prisms: the first half of their points is one end face, the second half the opposite one. `MASSES` are
+        single points, the masses of the equations of motion. The rest are lines: both axes, reference lines and arcs
+        of both angles, torques and thrusts, the last four in their positive direction.
 
     Raises
     ------
@@ -92,21 +86,22 @@ def rig_geometry(phi, psi, *, l_m=0.202, l_t=0.216, l_cw=0.25):
         If an angle is not finite, or a length is not positive.
     """
     _check(phi=phi, psi=psi, l_m=l_m, l_t=l_t, l_cw=l_cw)
-    parts = _standing_parts()
-    parts |= {name: _pose(points, 0.0, psi) for name, points in _turning_parts().items()}
+    parts = _static_parts()
+    parts |= {name: _pose(points, 0.0, psi) for name, points in _yawing_parts().items()}
     pitching = _beam_parts(l_m, l_t, l_cw) | _mass_points(l_m, l_t, l_cw)
     parts |= {name: _pose(points, phi, psi) for name, points in pitching.items()}
     parts |= _angle_lines(phi, psi, l_m) | _torque_lines(phi, psi, l_m, l_t)
 
-    # A picometre is far below anything drawn; rounding keeps noise like cos(pi/2) = 6e-17 and "-0" out of the tables.
+    # Rounding to a picometre, far below what is visible, keeps noise like cos(pi/2) = 6e-17 and "-0" out of the tables.
     lengths = [len(points) for points in parts.values()]
-    places = np.round(np.concatenate(list(parts.values())), 12) + 0.0
-    table = {"part": np.repeat(np.array(list(parts), dtype=object), lengths), "point": np.concatenate([np.arange(k) for k in lengths])}
-    return pd.DataFrame({**table, **dict(zip("xyz", places.T))})
+    positions = np.round(np.concatenate(list(parts.values())), 12) + 0.0
+    names = np.repeat(np.array(list(parts), dtype=object), lengths)
+    numbers = np.concatenate([np.arange(length) for length in lengths])
+    return pd.DataFrame({"part": names, "point": numbers, **dict(zip("xyz", positions.T))})
 
 
 def project(points, camera=CAMERA):
-    """See points from far away (orthographic projection).
+    """Project points orthographically, as seen from far away.
 
     Parameters
     ----------
@@ -134,21 +129,22 @@ def part_points(geometry, part):
 def draw_rig(
     axes, geometry, *, camera=CAMERA, parts=None, alpha=1.0, linewidth=0.6, edgecolor="black", colours=None, zorder=2.0
 ):
-    """Draw the solid parts of a posed rig in ordinary two-dimensional axes, the hidden ones behind.
+    """Draw the solid parts of a posed rig in ordinary two-dimensional axes, from back to front.
 
-    For an animation: draw the standing parts once (``parts=STATIC``), then for each frame remove the returned artists and
-    draw again (about 20 ms a frame); a prediction beside the truth is a second call with another pose, a small ``alpha`` and a lower ``zorder``.
+    For an animation, draw the static parts once (``parts=STATIC``), then remove the returned artists and draw again
+    for each frame (about 20 ms per frame). A prediction beside the truth is a second call with another pose, a small
+    ``alpha`` and a lower ``zorder``.
 
     Parameters
     ----------
     axes : matplotlib.axes.Axes
-        With equal aspect; the drawing is in metres of the projected picture.
+        With equal aspect; its unit is the metre in the projected picture.
     geometry : pandas.DataFrame
         From `rig_geometry`.
     camera : tuple of float
         Azimuth and elevation of the viewer in rad.
     parts : iterable of str, optional
-        Names out of `SOLIDS`; all by default.
+        Names from `SOLIDS`; all by default.
     alpha : float
         Opacity; 1 is solid.
     linewidth : float
@@ -156,9 +152,9 @@ def draw_rig(
     edgecolor : colour
         Of the outlines.
     colours : dict, optional
-        Part to colour, in place of those of `SOLIDS`.
+        Part -> colour, in place of those of `SOLIDS`.
     zorder : float
-        Level at which the rig lies among other artists.
+        Level of the rig among other artists.
 
     Returns
     -------
@@ -176,8 +172,9 @@ def draw_rig(
             outlines.append(outline)
             fills.append((*fill, opacity))
             widths.append(width * linewidth)
+    edges = (*to_rgb(edgecolor), alpha)
     picture = PolyCollection(
-        outlines, facecolors=fills, linewidths=widths, edgecolors=(*to_rgb(edgecolor), alpha), joinstyle="round", zorder=zorder,
+        outlines, facecolors=fills, linewidths=widths, edgecolors=edges, joinstyle="round", zorder=zorder,
     )
     return [axes.add_collection(picture)]
 
@@ -185,15 +182,15 @@ def draw_rig(
 # ---------------------------------------------------------------------------------------------------------- parts
 
 
-def _standing_parts():
+def _static_parts():
     return {
         "base": _cylinder((0, 0, _BASE_TOP - 0.02), (0, 0, _BASE_TOP), 0.17, corners=72),
         "pillar": _cylinder((0, 0, _BASE_TOP), (0, 0, _PILLAR_TOP), 0.013),
     }
 
 
-def _turning_parts():
-    """The fork that carries the pitch axis, in beam coordinates at level beam: it follows the yaw alone."""
+def _yawing_parts():
+    """The fork that carries the pitch axis, in beam coordinates at level beam: it follows yaw alone."""
     parts = {"fork": _box((-0.012, 0.012), (-0.036, 0.036), (_PILLAR_TOP, _PILLAR_TOP + 0.012))}
     for side, sign in (("left", 1), ("right", -1)):
         parts[f"{side}_ear"] = _box((-0.012, 0.012), _span(0.028, 0.036, sign), (_PILLAR_TOP + 0.012, 0.014))
@@ -244,7 +241,7 @@ def _angle_lines(phi, psi, l_m):
 
 
 def _torque_lines(phi, psi, l_m, l_t):
-    """The torques as arcs about their axes and the thrusts that make them, all in their positive direction."""
+    """The torques as arcs about their axes and the thrusts that cause them, all in their positive direction."""
     sweep = np.radians(np.linspace(-60.0, 200.0, 66))
     thrust = 0.1
     return {
@@ -261,7 +258,7 @@ def _torque_lines(phi, psi, l_m, l_t):
 
 
 def _pose(points, phi, psi):
-    """Beam coordinates (..., 3) to the room's x, y, z: pitch lifts +a, then yaw turns about z."""
+    """Beam coordinates (..., 3) to x, y, z: pitch lifts +a, then yaw turns about z."""
     a, b, c = np.moveaxis(np.asarray(points, dtype=float), -1, 0)
     ahead = a * np.cos(phi) - c * np.sin(phi)
     up = a * np.sin(phi) + c * np.cos(phi)
@@ -291,11 +288,12 @@ def _box(a, b, c):
 
 
 def _propeller(centre, axis, radius):
-    """Two slim blades, one convex lozenge 1 mm thick lying on its disc."""
+    """Two slim blades, one convex lozenge 1 mm thick, on the rotor's disc."""
     along, across = _plane(axis)
-    turn = np.radians(35.0)  # across the line of sight from the usual camera, so that the blades are seen
+    turn = np.radians(35.0)  # across the line of sight from the usual camera, so the blades are visible
     along, across = along * np.cos(turn) + across * np.sin(turn), across * np.cos(turn) - along * np.sin(turn)
-    outline = np.array([(-1, 0.05), (-1, -0.05), (-0.1, -0.09), (0.1, -0.09), (1, -0.05), (1, 0.05), (0.1, 0.09), (-0.1, 0.09)])
+    half = np.array([(-1, 0.05), (-1, -0.05), (-0.1, -0.09), (0.1, -0.09)])
+    outline = np.concatenate([half, -half])
     flat = np.asarray(centre) + radius * (outline[:, :1] * along + outline[:, 1:] * across)
     return np.concatenate([flat, flat + 0.001 * np.asarray(axis)])
 
@@ -339,18 +337,18 @@ def _corners(solid, face):
 
 
 def _back_to_front(solids, camera):
-    """Sort convex solids so that each is drawn after all that it hides.
+    """Sort convex solids so that each comes after all that it hides.
 
-    Two convex bodies that do not intersect are mostly parted by a face of one of them. The body on the viewer's side of
-    that face is in front. Where no face decides (or a circle of three occurs) the distance of the centres does.
+    A face of one of them mostly separates two convex bodies that do not intersect. The body on the viewer's side of
+    that face is in front. Where no face decides, or three bodies form a cycle, the distance of the centres does.
     """
     names = list(solids)
     right, up, towards = _view_axes(camera)
     points = np.concatenate([solids[name] for name in names])
     flat = points @ np.stack([right, up], axis=1)
     starts = np.cumsum([0] + [len(solids[name]) for name in names[:-1]])
-    over = np.zeros((len(names), len(names)), dtype=bool)  # [i, j]: i is on the viewer's side of a face that parts them
-    apart = np.zeros_like(over)  # their outlines do not meet in the picture
+    over = np.zeros((len(names), len(names)), dtype=bool)  # [i, j]: i is on the viewer's side of a separating face
+    apart = np.zeros_like(over)  # the outlines do not overlap in the picture
     for i, name in enumerate(names):
         normals, offsets = _face_planes(solids[name])
         beyond = np.minimum.reduceat(points @ normals.T - offsets, starts) > -1e-9  # (solids, faces)
@@ -359,15 +357,15 @@ def _back_to_front(solids, camera):
         over[i, :] |= (beyond & (facing < -1e-9)).any(axis=1)
         sides = ConvexHull(flat[starts[i] : starts[i] + len(solids[name])]).equations
         apart[i] = (np.minimum.reduceat(flat @ sides[:, :2].T + sides[:, 2], starts) > -1e-9).any(axis=1)
-    # A pair that is ordered both ways does not meet in the picture either.
+    # A pair that is ordered both ways does not overlap in the picture either.
     after = over & ~over.T & ~(apart | apart.T)
 
-    left = sorted(range(len(names)), key=lambda i: solids[names[i]].mean(axis=0) @ towards)
+    remaining = sorted(range(len(names)), key=lambda i: solids[names[i]].mean(axis=0) @ towards)
     order = []
-    while left:
-        free = [i for i in left if not after[i, left].any()]
-        order.append((free or left)[0])
-        left.remove(order[-1])
+    while remaining:
+        free = [i for i in remaining if not after[i, remaining].any()]
+        order.append((free or remaining)[0])
+        remaining.remove(order[-1])
     return [names[i] for i in order]
 
 
@@ -375,17 +373,17 @@ def _visible_faces(solid, smooth, colour, camera):
     """Yield (outline (corners, 2), red-green-blue fill, relative line width) for what the viewer sees of a prism."""
     view = _view_axes(camera)
     normals, _ = _face_planes(solid)
-    seen = np.flatnonzero(normals @ view[2] > 1e-9)
+    faces = np.flatnonzero(normals @ view[2] > 1e-9)
     if smooth:
         flat = (solid @ view.T)[:, :2]
         yield flat[ConvexHull(flat).vertices], _shade(colour, 0.35), 1.0
-        seen = seen[seen < 2]
-    for face in seen:
+        faces = faces[faces < 2]
+    for face in faces:
         yield (_corners(solid, face) @ view.T)[:, :2], _shade(colour, normals[face] @ LIGHT), 0.6 if smooth else 0.8
 
 
 def _shade(colour, brightness):
-    """Mix a colour with white where the light falls, with black where it does not; -1 <= brightness <= 1."""
+    """Mix a colour with white where the light falls, with black elsewhere; -1 <= brightness <= 1."""
     rgb = np.array(to_rgb(colour))
     amount = 0.5 * brightness
     return tuple(rgb + (1 - rgb) * amount if amount > 0 else rgb * (1 + 0.6 * amount))
