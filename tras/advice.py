@@ -18,23 +18,23 @@ class Advice(NamedTuple):
     text: str
 
 
-def of(found, log):
+def of(identification, log):
     """All advice on an identification (`tras.identification.Identification`) of the recording ``log``, the gravest first."""
-    given = [*_verdict(found), *_data(found, log), *_excitation(found), *_model(found), *_reach(found)]
+    given = [*_verdict(identification), *_data(identification, log), *_excitation(identification), *_model(identification), *_reach(identification)]
     return sorted(given, key=lambda each: ("stop", "warning", "note").index(each.weight))
 
 
-def verdict(found):
+def verdict(identification):
     """One sentence: how well the model predicts the test, and whether that is better than a linear one."""
-    table = found.metrics.set_index(["prediction", "state"])["nrmse"]
+    table = identification.metrics.set_index(["prediction", "state"])["nrmse"]
     ours, linear = table["model"].to_numpy(), table["linear model"].to_numpy()
-    horizon = float((found.test.lengths.max() - 1) * found.test.dt)
+    horizon = float((identification.test.lengths.max() - 1) * identification.test.dt)
     if not np.isfinite(ours).any():
         return f"The model is of no use: every test prediction over {horizon:.3g} s ran away."
-    worst = found.test.state_names[int(np.nanargmax(ours))]
+    worst = identification.test.state_names[int(np.nanargmax(ours))]
     size = f"{np.nanmin(ours):.2g} % to {np.nanmax(ours):.2g} % of the ranges, most in {worst}" if len(ours) > 1 else f"{ours[0]:.2g} % of the range"
     ratio = float(np.exp(np.nanmean(np.log(np.maximum(ours, 1e-12) / np.maximum(linear, 1e-12)))))
-    if found.model.dictionary.__class__.__name__ == "Monomials" and found.model.dictionary.degree == 1:
+    if identification.model.dictionary.__class__.__name__ == "Monomials" and identification.model.dictionary.degree == 1:
         beside = "No nonlinear model was better than a linear one"
     elif not math.isfinite(ratio):
         beside = "The linear model ran away"
@@ -45,9 +45,9 @@ def verdict(found):
     return f"Over {horizon:.3g} s the model misses the test data by {size}, root mean square. {beside}."
 
 
-def _verdict(found):
-    table = found.metrics.set_index(["prediction", "state"])
-    for state in found.test.state_names:
+def _verdict(identification):
+    table = identification.metrics.set_index(["prediction", "state"])
+    for state in identification.test.state_names:
         row, constant = table.loc[("model", state)], table.loc[(CONSTANT, state)]
         if not row["nrmse"] < 0.95 * constant["nrmse"]:
             yield Advice(
@@ -63,9 +63,9 @@ def _verdict(found):
         yield Advice(weight, "predictions ran away", f"{row['diverged']} of {row['windows']} test predictions ran away; they are left out of the errors.")
 
 
-def _data(found, log):
-    channels = found.checks.channels
-    for text in found.said["idle"]:
+def _data(identification, log):
+    channels = identification.checks.channels
+    for text in identification.remarks["idle"]:
         yield Advice("warning", "a channel that says nothing", f"{text}.")
     for _, row in channels.iterrows():
         name = row["channel"]
@@ -124,8 +124,8 @@ def _data(found, log):
         yield Advice("note", "no inputs", "There is no input: the model is of the free motion only. If something drives the rig, name it (INPUTS=...).")
 
 
-def _excitation(found):
-    facts, correlation = found.checks.facts, found.checks.correlation
+def _excitation(identification):
+    facts, correlation = identification.checks.facts, identification.checks.correlation
     for name, share in facts["feedback"].items():
         if share > 0.9:
             yield Advice(
@@ -151,29 +151,29 @@ def _excitation(found):
             f"Constant, states and inputs (scaled) have a condition number of {facts['condition']:.3g}: some combination of channels hardly moves. The "
             "model says nothing reliable about it.",
         )
-    order, needed = facts["order"], found.recording.n + 1
+    order, needed = facts["order"], identification.recording.n + 1
     if order is not None and order < min(needed, 20):
         yield Advice(
             "warning",
             "too little excitation",
-            f"The inputs are persistently exciting of order {order} (lags of {facts['lag'] * facts['dt']:.3g} s), a linear model of {found.recording.n} "
+            f"The inputs are persistently exciting of order {order} (lags of {facts['lag'] * facts['dt']:.3g} s), a linear model of {identification.recording.n} "
             f"states asks for {needed}. Use a signal with more frequencies or more steps.",
         )
-    pairs, functions = found.train.pairs, len(found.model.names_)
+    pairs, functions = identification.train.pairs, len(identification.model.names_)
     if pairs < 10 * functions:
         yield Advice("warning", "a short recording", f"{pairs} snapshot pairs for {functions} functions: record longer.")
-    if found.test.pairs < 200 or len(found.test) < 3:
-        yield Advice("warning", "a short test", f"The test has {len(found.test)} windows with {found.test.pairs} snapshot pairs: its numbers are rough.")
+    if identification.test.pairs < 200 or len(identification.test) < 3:
+        yield Advice("warning", "a short test", f"The test has {len(identification.test)} windows with {identification.test.pairs} snapshot pairs: its numbers are rough.")
 
 
-def _model(found):
-    radius_of = found.eigenvalues[found.eigenvalues["model"] == "model"]
+def _model(identification):
+    radius_of = identification.eigenvalues[identification.eigenvalues["model"] == "model"]
     moved = radius_of[np.hypot(radius_of["real"] - 1, radius_of["imag"]) > 1e-6]  # one exactly: the constant, and functions of held inputs
     fastest = moved["modulus"].max() if len(moved) else 0.0
-    total = float((found.recording.lengths.max() - 1) * found.recording.dt)
-    if fastest > 1 + found.recording.dt / total:
-        doubling = found.recording.dt * math.log(2) / math.log(fastest)
-        linear = found.model.predictor == "lifted_linear"
+    total = float((identification.recording.lengths.max() - 1) * identification.recording.dt)
+    if fastest > 1 + identification.recording.dt / total:
+        doubling = identification.recording.dt * math.log(2) / math.log(fastest)
+        linear = identification.model.predictor == "lifted_linear"
         what = (
             "Trust predictions no longer than they were tested."
             if linear
@@ -181,7 +181,7 @@ def _model(found):
         )
         about = f"The largest modulus of an eigenvalue is {fastest:.6f}: something in the lifted system doubles every {doubling:.3g} s."
         yield Advice("warning" if linear else "note", "an unstable operator", f"{about} {what}")
-    slow = moved[np.abs(moved["modulus"] - 1) < found.recording.dt / total]
+    slow = moved[np.abs(moved["modulus"] - 1) < identification.recording.dt / total]
     if len(slow):
         yield Advice(
             "note",
@@ -189,25 +189,25 @@ def _model(found):
             f"{len(slow)} eigenvalues have a modulus so near to one that they would change by less than a factor e over the longest trajectory "
             f"({total:.3g} s). How such parts go on in the long run is not in the data.",
         )
-    if found.said["treatment"] == "smoothed":
-        level = noise_level(found.recording) / np.ptp(np.concatenate([x for x, _ in found.recording]), axis=0)
+    if identification.remarks["treatment"] == "smoothed":
+        level = noise_level(identification.recording) / np.ptp(np.concatenate([x for x, _ in identification.recording]), axis=0)
         yield Advice(
             "note",
             "smoothed states",
             f"The states were smoothed before the fit, and test predictions start from smoothed states (noise {100 * level.max():.2g} % of the range at "
             "most). The table also has predictions that start from states as measured.",
         )
-    if found.model.condition_number > 1e10:
+    if identification.model.condition_number > 1e10:
         yield Advice(
             "warning",
             "ill-conditioned",
-            f"The condition number of the liftings is {found.model.condition_number:.2g}: coefficients mean little by themselves, predictions may still "
+            f"The condition number of the liftings is {identification.model.condition_number:.2g}: coefficients mean little by themselves, predictions may still "
             "be good.",
         )
 
 
-def _reach(found):
-    for name, share in beyond(found.train, found.test).items():
+def _reach(identification):
+    for name, share in beyond(identification.train, identification.test).items():
         if share > 0.01:
             yield Advice(
                 "warning",

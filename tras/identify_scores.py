@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from tras import metrics
-from tras.identify_search import rolled
+from tras.search import roll_outs
 
 CONSTANT, HELD = "mean of the training data", "stays where it is"
 _ONE_STEP = 20_000  # predictions over one sample that are made, at most
@@ -34,7 +34,7 @@ def compare(models, truth, train, latest):
     """
     true = [x[latest:] for x, _ in truth]
     mean = np.concatenate([x for x, _ in train]).mean(axis=0)
-    runs = {name: rolled(model, starts, latest) for name, (model, starts) in models.items()}
+    runs = {name: roll_outs(model, starts, latest) for name, (model, starts) in models.items()}
     runs |= {HELD: [np.repeat(x[:1], len(x), axis=0) for x in true], CONSTANT: [np.repeat(mean[None], len(x), axis=0) for x in true]}
     single = {name: _one_step(model, starts, truth) for name, (model, starts) in models.items()}
     span = np.ptp(np.concatenate(true), axis=0)
