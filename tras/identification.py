@@ -1,4 +1,4 @@
-"""From a recording of a rig to a model and an honest verdict, in one call; `tras.identify_command` writes it to files."""
+"""From a recording of a rig to a model and an honest verdict, in one call."""
 
 from functools import partial
 from typing import NamedTuple
@@ -23,9 +23,10 @@ CHOSEN, LINEAR = "model", "linear model"
 class Identification(NamedTuple):
     """The result of `identify`.
 
-    ``recording`` as used (without idle channels), ``train`` (the pieces that the model was fitted to) and ``test`` (windows as measured);
-    ``checks`` (`tras.datachecks.Checks`), ``search`` (every candidate), ``model``, ``linear``; the tables ``metrics, growth, overlay, eigenvalues``; ``pairs``
-    of position and velocity; ``ensemble``; ``remarks`` on each step, by its name; ``advice``.
+    ``recording`` as used (without idle channels), ``train`` (the pieces that the model was fitted to) and ``test``
+    (windows as measured); ``checks`` (`tras.datachecks.Checks`), ``search`` (every candidate), ``model``, ``linear``;
+    the tables ``metrics, growth, overlay, eigenvalues``; ``pairs`` of position and velocity; ``ensemble``; ``remarks``
+    on each step, by its name; ``advice``.
     """
 
     recording: object
@@ -75,7 +76,8 @@ def identify(recording, *, predictor=None, delays=None, smoothing=None, draws=30
     Examples
     --------
     >>> from tras.examples import example
-    >>> identification = identify(example("duffing", trials=6), predictor="one_step", delays=[0], smoothing=False, draws=0)
+    >>> recording = example("duffing", trials=6)
+    >>> identification = identify(recording, predictor="one_step", delays=[0], smoothing=False, draws=0)
     >>> identification.model.dictionary
     Mechanical(degree=3, positions=[0], shape=[0], velocities=[1])
     """
@@ -96,7 +98,8 @@ def _identify(log, predictor, delays, smoothing, draws, seed):
     truth = windows("as measured")
     if truth.lengths.min() <= latest + 1:
         raise ValueError(
-            f"the trajectories kept for the test have {int(truth.lengths.max())} samples, too few for {latest} delays: record longer, or try fewer delays."
+            f"the trajectories kept for the test have {int(truth.lengths.max())} samples, too few for {latest} delays: "
+            "record longer, or try fewer delays."
         )
 
     row, model = _fitted(table, pieces)
@@ -139,7 +142,7 @@ def _ensemble(model, train, draws, seed):
 
 
 def _overlay(runs, truth, starts, model, ensemble, latest):
-    """Two windows as one table: ``window`` ("typical", "worst"), ``time`` (s) and for each state ``STATE: true, model, linear model, lower, upper``."""
+    """Two windows: ``window`` ("typical", "worst"), ``time`` (s), ``STATE: true, model, linear model, lower, upper``."""
     windows, tables = typical_and_worst(runs[CHOSEN], truth, latest), []
     late = without_first(starts[list(windows)], latest - model.delays)
     band = prediction_band(ensemble, late) if ensemble else [np.full((2, len(late.states[0]), truth.n), np.nan)] * 3
@@ -154,7 +157,7 @@ def _overlay(runs, truth, starts, model, ensemble, latest):
 
 
 def _eigenvalues(model, linear):
-    """Eigenvalues of both: ``model, real, imag, modulus``, and of their logarithms ``rate`` (1/s) and ``frequency`` (Hz)."""
+    """Eigenvalues: ``model, real, imag, modulus``, and of their logarithms ``rate`` (1/s) and ``frequency`` (Hz)."""
     tables = []
     for name, fitted in ((CHOSEN, model), (LINEAR, linear)):
         values = fitted.eigenvalues

@@ -145,7 +145,7 @@ def _figures(identification, folder):
 
 
 def _curves(recording):
-    """The recording as one table, ``trajectory``, ``time`` from its beginning and channels, with about `_CURVE` rows at most."""
+    """The recording as one table: ``trajectory``, ``time`` from its beginning, channels; about `_CURVE` rows at most."""
     table = recording.to_frame()
     starts = np.concatenate([[0.0], np.cumsum(recording.lengths[:-1] * recording.dt)])
     table["time"] += np.repeat(starts, recording.lengths)
@@ -188,7 +188,7 @@ def _exports(identification, stage):
 
 
 def _move(stage, folder):
-    """Move all files of ``stage`` into ``folder``; remove those that an earlier run has listed there and this one does not make."""
+    """Move all files of ``stage`` into ``folder``, and remove those that only an earlier run has listed there."""
     new = {path.relative_to(stage) for path in stage.rglob("*") if path.is_file()}
     if not folder.exists():
         stage.chmod(0o777 & ~_umask())  # mkdtemp is private; a result is not

@@ -165,7 +165,7 @@ def _search_text(identification):
     return (
         f"{len(table)} candidates in two rounds: treatments of noise and numbers of delays first, with a linear and a nonlinear dictionary; then every "
         "dictionary at the best of these, and without delays. The error is that of whole roll-outs of pieces that were held out from the candidate, "
-        "against what was measured; each candidate also chooses its strength of regularisation. Errors within 10 % of the least count as equal, and "
+        "against what was measured; each candidate also chooses its strength of regularization. Errors within 10 % of the least count as equal, and "
         "then the candidate with fewest functions is taken."
     )
 

@@ -1,7 +1,7 @@
-"""A recording of a rig made ready for its identification, each step once: `prepare` leaves idle channels out, holds a test back and chooses the length
-of the pieces; `Treatments` holds one part of it as measured and smoothed.
+"""A recording of a rig made ready for its identification, each step once.
 
-Each step that leaves something out returns sentences that say so.
+`prepare` leaves idle channels out, holds a test back and chooses the length of the pieces; `Treatments` holds one part of
+the recording as measured and smoothed. Each step that leaves something out returns sentences that say so.
 """
 
 from typing import NamedTuple
@@ -21,8 +21,9 @@ _FINE = 2e-4  # noise, as a fraction of the range, that is not worth smoothing a
 class Prepared(NamedTuple):
     """A recording made ready; see `prepare`.
 
-    ``recording`` without idle channels; ``train`` and ``test``, its two parts, uncut; ``pairs`` of positions and their velocities, by name; ``memory`` of
-    the states and ``samples`` of a piece; ``remarks``, lists of sentences under "idle", "partition" and "pairs".
+    ``recording`` without idle channels; ``train`` and ``test``, its two parts, uncut; ``pairs`` of positions and their
+    velocities, by name; ``memory`` of the states and ``samples`` of a piece; ``remarks``, lists of sentences under
+    "idle", "partition" and "pairs".
     """
 
     recording: Recording
@@ -74,14 +75,14 @@ class Treatments:
         return self if self._chunks["as measured"].pairs <= most else Treatments(self.recording, self.pairs, most)
 
     def pieces(self, name, samples, fewest, most=np.inf):
-        """Pieces under one treatment, about ``most`` snapshot pairs of them, as `in_pieces` cuts them: the same pieces under each treatment."""
+        """Pieces under one treatment, cut as by `in_pieces` and `thinned`: the same ones under each treatment."""
         if name not in self._chunks:
             self._chunks[name] = smoothed(self._chunks["as measured"], self.pairs)
         return thinned(in_pieces(self._chunks[name], samples, fewest), most)
 
 
 def without_idle_channels(recording):
-    """The recording without channels that are constant, or linear combinations of those before them: nothing can be learnt about these.
+    """The recording without channels that are constant, or linear combinations of those before them.
 
     Returns
     -------
@@ -119,11 +120,12 @@ def without_idle_channels(recording):
 
 
 def velocity_pairs(recording, lag):
-    """Pairs (position, velocity) of states' names, told by the numbers: one is the other's integral over a third of the `memory`.
+    """Pairs (position, velocity) of states' names, by their numbers: the one is the other's integral.
 
-    The slope must be one within 5 %, so the velocity's unit is the position's per second.
+    Over a third of the `memory` the slope must be one within 5 %, so the velocity's unit is the position's per second.
     """
-    span = int(np.clip(lag // 3, 10, max(10, int(recording.lengths.max()) // 4)))  # long against noise, short against the motion
+    # Long against noise, short against the motion.
+    span = int(np.clip(lag // 3, 10, max(10, int(recording.lengths.max()) // 4)))
     stretches = [x for x, _ in recording if len(x) > span + 1]
     if not stretches or recording.n < 2:
         return []
@@ -174,8 +176,8 @@ def memory(recording):
 def piece_length(recording, lag):
     """The samples of a piece, and the sentence that says why.
 
-    Five times the states' `memory`, so that a piece shows the system forgetting where it began; between 26 and 501 samples, and short enough for
-    thirty pieces if each still has 26 samples.
+    Five times the states' `memory`, so that a piece shows the system forgetting where it began; between 26 and 501
+    samples, and short enough for thirty pieces if each still has 26 samples.
     """
     wanted = int(np.clip(5 * lag, SHORTEST - 1, LONGEST - 1))
     longest = int(recording.lengths.max())
@@ -194,7 +196,8 @@ def piece_length(recording, lag):
 def partition(recording):
     """Two recordings, uncut: one to learn from, and a fifth by which nothing is chosen or fitted.
 
-    With five trials or more these are whole trials, every fifth one. Otherwise it is the end of each trial: neighbouring pieces are not independent.
+    With five trials or more these are whole trials, every fifth one. Otherwise it is the end of each trial:
+    neighbouring pieces are not independent.
 
     Returns
     -------

@@ -1,8 +1,8 @@
-"""Which dictionary, predictor, delays and treatment of noise: candidates judged by roll-outs of trajectories that none of them was fitted to.
+"""Which dictionary, predictor, delays and treatment of noise: candidates judged by roll-outs of held-out trajectories.
 
-`choose` compares the models that it is given. `search`, for `tras.identify`, makes up its own in two rounds, because all combinations would take
-too long: first treatments and delays, with one linear and one nonlinear dictionary each; then every dictionary and predictor at the best of these,
-and without delays.
+`choose` compares the models that it is given. `search`, for `tras.identify`, makes up its own in two rounds, because
+all combinations would take too long: first treatments and delays, with one linear and one nonlinear dictionary each;
+then every dictionary and predictor at the best of these, and without delays.
 """
 
 import math
@@ -29,8 +29,9 @@ _CLOSE = 1.1  # errors within ten percent count as equal: the model with fewer f
 def candidates(recording, predictor="vector_field", delays=0):
     """Models worth trying on a recording of which nothing else is known, the simplest first.
 
-    Linear; monomials of degree 2 to 4 and Gaussians on 50 and 200 k-means centres, if they have at most 500 functions and at least two snapshot pairs
-    per function; and, if the number of states is even and there are no delays, `Mechanical`, which takes the states for position, velocity, position, ...
+    Linear; monomials of degree 2 to 4 and Gaussians on 50 and 200 k-means centres, if they have at most 500 functions
+    and at least two snapshot pairs per function; and, if the number of states is even and there are no delays,
+    `Mechanical`, which takes the states for position, velocity, position, ...
     """
     dictionaries = _dictionaries(recording, delays, predictor, (1, 2, 3, 4), (50, 200), min(500, recording.pairs // 2))
     if recording.n % 2 == 0 and not delays and predictor != "lifted_linear":
@@ -39,24 +40,26 @@ def candidates(recording, predictor="vector_field", delays=0):
 
 
 def choose(recording, models=None):
-    """The best of several models: each is fitted to four fifths of the trajectories and judged on the others; the best is then fitted to all.
+    """The best of several models, each fitted to four fifths of the trajectories and judged on the rest.
 
-    The error is that of whole roll-outs of up to 501 samples, which is what a user of the model sees; a candidate that diverges loses by it. Each candidate
-    still chooses its own strength of regularization, on trajectories of its four fifths.
+    The error is that of whole roll-outs of up to 501 samples, which is what a user of the model sees; a candidate that
+    diverges loses by it. Each candidate still chooses its own strength of regularization, on trajectories of its four
+    fifths.
 
     Parameters
     ----------
     recording : Recording or sequence of them
     models : sequence of estimators, optional
-        Anything with ``fit(recording)`` and ``predict(recording)`` that `sklearn.base.clone` can copy. Default: `candidates`.
+        Anything with ``fit(recording)`` and ``predict(recording)`` that `sklearn.base.clone` can copy. Default:
+        `candidates`.
 
     Returns
     -------
     model : KoopmanModel
         Fitted to the whole recording.
     table : pandas.DataFrame
-        One row per candidate: ``candidate`` (its dictionary, and its delays if it has any), ``functions, strength, error, failure`` as in `attempt`,
-        ``model`` (the estimator, unfitted), ``chosen``.
+        One row per candidate: ``candidate`` (its dictionary, and its delays if it has any), ``functions, strength,
+        error, failure`` as in `attempt`, ``model`` (the estimator, unfitted), ``chosen``.
 
     Raises
     ------
@@ -66,7 +69,8 @@ def choose(recording, models=None):
     Examples
     --------
     >>> from tras import multisine, simulate_closed_loop
-    >>> recording = simulate_closed_loop(multisine(40, 0.01, [1.0, 2.0], [0.8, 2.0], 0), 0.01).select(inputs=["u_phi", "u_psi"])
+    >>> recording = simulate_closed_loop(multisine(40, 0.01, [1.0, 2.0], [0.8, 2.0], 0), 0.01)
+    >>> recording = recording.select(inputs=["u_phi", "u_psi"])
     >>> models = [KoopmanModel(Monomials(1)), KoopmanModel(Mechanical(5))]
     >>> model, table = choose(recording.cut(201), models)
     >>> model.dictionary
@@ -78,10 +82,15 @@ def choose(recording, models=None):
         raise ValueError("models holds no candidate; give one or more, for example [tras.KoopmanModel(tras.Monomials(2))].")
     train, held = hold_out(recording)
     if held is None:
-        raise ValueError(f"the recording has {recording.pairs} snapshot pairs, too few to hold trajectories out for the choice; record more, or fit one model.")
+        raise ValueError(
+            f"the recording has {recording.pairs} snapshot pairs, too few to hold trajectories out for the choice; "
+            "record more, or fit one model."
+        )
     latest = max(getattr(model, "delays", 0) for model in models)
-    progress = tqdm(models, desc="choose", leave=False, disable=None)
-    table = pd.DataFrame([{"candidate": label(model), **attempt(model, train, held, held, latest), "model": model} for model in progress])
+    table = pd.DataFrame([
+        {"candidate": label(model), **attempt(model, train, held, held, latest), "model": model}
+        for model in tqdm(models, desc="choose", leave=False, disable=None)
+    ])  # fmt: skip
     table["chosen"] = table.index == best(table).name
     return clone(models[int(table["chosen"].argmax())]).fit(recording), table
 
@@ -105,8 +114,9 @@ def search(treatments, samples, *, predictor=None, delays=None, smoothing=None):
     Returns
     -------
     table : pandas.DataFrame
-        One row per candidate: ``round, states`` ("as measured" or "smoothed"), ``delays, predictor, dictionary``, ``functions, strength, error, failure``
-        as in `attempt`, ``model`` (unfitted, with the strength that it chose), ``chosen``. The truth is always what was measured.
+        One row per candidate: ``round, states`` ("as measured" or "smoothed"), ``delays, predictor, dictionary``,
+        ``functions, strength, error, failure`` as in `attempt`, ``model`` (unfitted, with the strength that it chose),
+        ``chosen``. The truth is always what was measured.
     remarks : list of str
         Sentences on the data that were used.
 
@@ -130,16 +140,18 @@ def search(treatments, samples, *, predictor=None, delays=None, smoothing=None):
             if (name, repr(model)) not in seen:
                 seen.add((name, repr(model)))
                 scores = attempt(model, *parts[name], truth, latest)
-                with_strength = model if scores["failure"] else clone(model).set_params(strength=float(scores["strength"]))
+                if not scores["failure"]:
+                    model = clone(model).set_params(strength=float(scores["strength"]))
                 options = {"delays": model.delays, "predictor": model.predictor, "dictionary": label(model.dictionary)}
-                rows.append({"round": number, "states": name, **options, **scores, "model": with_strength})
+                rows.append({"round": number, "states": name, **options, **scores, "model": model})
         return pd.DataFrame(rows)
 
     first = "one_step" if predictor is None else predictor
-    models = [(name, KoopmanModel(each, first, d)) for name in names for d in delays for each in _first_round(parts[name][0], d, first)]
+    models = [(name, model) for name in names for d in delays for model in _first_round(parts[name][0], d, first)]
     leader = best(attempt_all(1, "treatments and delays", models), _CLOSE)
     name = leader["states"]
-    models = [(name, model) for d in dict.fromkeys((int(leader["delays"]), delays[0])) for model in _second_round(parts[name][0], d, pairs, predictor)]
+    second_delays = dict.fromkeys((int(leader["delays"]), delays[0]))
+    models = [(name, model) for d in second_delays for model in _second_round(parts[name][0], d, pairs, predictor)]
     table = attempt_all(2, "dictionaries", models)
     table["chosen"] = table.index == best(table, _CLOSE).name
     return table, remarks
@@ -161,8 +173,8 @@ def attempt(model, train, starts, truth, latest):
     Returns
     -------
     dict
-        ``functions``, ``strength`` (NaN if the estimator has none), ``error`` (root mean square in half-ranges of the states, each sample's at most 10;
-        infinite without a model), ``failure`` (empty, or why there is no model).
+        ``functions``, ``strength`` (NaN if the estimator has none), ``error`` (root mean square in half-ranges of the
+        states, each sample's at most 10; infinite without a model), ``failure`` (empty, or why there is no model).
     """
     model, error, failure = clone(model), math.inf, ""
     half_range = np.ptp(truth.states, axis=(0, 1)) / 2
@@ -177,7 +189,7 @@ def attempt(model, train, starts, truth, latest):
 
 
 def roll_outs(model, starts, latest):
-    """Predictions, (samples_i, n) per trajectory, from the sample ``latest`` on: the same instant for all models, whatever their delays."""
+    """Predictions, (samples_i, n) per trajectory, from the sample ``latest`` on, whatever the model's delays."""
     delays = getattr(model, "delays", 0)
     with np.errstate(over="ignore", invalid="ignore"):
         return [x[delays:] for x in model.predict(without_first(starts, latest - delays))]
@@ -195,44 +207,49 @@ def relative_error(true, predicted, half_range):
 
 
 def best(table, tolerance=1.0):
-    """The row with the fewest functions among those whose error is at most ``tolerance`` times the least; delays count as functions do."""
+    """The row with the fewest functions among those whose error is at most ``tolerance`` times the least."""
     least = table["error"].min()
     if not math.isfinite(least):
-        raise ValueError(f"none of the {len(table)} candidates could be fitted; the last one because: {table['failure'].iloc[-1]}")
+        reason = table["failure"].iloc[-1]
+        raise ValueError(f"none of the {len(table)} candidates could be fitted; the last one because: {reason}")
     return table[table["error"] <= tolerance * least].sort_values(["functions", "error"], kind="stable").iloc[0]
 
 
 def delays_to_try(recording, samples, requested=None, *, measured=False):
-    """The delays that pieces of so many samples and 60 channels allow; at most one if positions and velocities are all ``measured``."""
+    """The delays that pieces of so many samples allow; at most one if all velocities are ``measured``."""
     if requested is not None:
         return tuple(requested)
-    width = recording.n + recording.m
-    return tuple(d for d in DELAYS if d == 0 or (4 * d < samples and (d + 1) * width <= _CHANNELS and (d <= 1 or not measured)))
+    most = min((samples - 1) // 4, _CHANNELS // (recording.n + recording.m) - 1, 1 if measured else max(DELAYS))
+    return tuple(d for d in DELAYS if d == 0 or d <= most)
 
 
 def _parts(treatments, names, samples, latest):
-    """Treatment -> (pieces to fit, windows held out), the same pieces of each and "as measured" always; and remarks on them."""
+    """Treatment, "as measured" among them -> (pieces to fit, windows held out); and remarks on these."""
     train, treatments = treatments.recording, treatments.at_most(2 * SEARCHED)
-    parts = {name: hold_out(treatments.pieces(name, samples, latest + 10, SEARCHED)) for name in dict.fromkeys(["as measured", *names])}
+    names = dict.fromkeys(["as measured", *names])
+    parts = {name: hold_out(treatments.pieces(name, samples, latest + 10, SEARCHED)) for name in names}
     fitted, held = parts["as measured"]
     if held is None or held.lengths.min() < latest + 5:
         raise ValueError(
-            f"there are {train.pairs} snapshot pairs in {len(train)} trajectories to learn from, too few to hold out pieces of {latest + 10} samples "
-            "for the choice of a model: record more, or try fewer delays."
+            f"there are {train.pairs} snapshot pairs in {len(train)} trajectories to learn from, too few to hold out "
+            f"pieces of {latest + 10} samples for the choice of a model: record more, or try fewer delays."
         )
-    remarks = [f"{fitted.pairs} snapshot pairs for the fits, {len(held)} held-out pieces of {int(held.lengths[0])} samples for the errors"]
+    windows = f"{len(held)} held-out pieces of {int(held.lengths[0])} samples"
+    remarks = [f"{fitted.pairs} snapshot pairs for the fits, {windows} for the errors"]
     pairs = fitted.pairs + held.pairs
     if pairs < 0.9 * train.pairs:
-        remarks.append(f"the search looks at {pairs} of {train.pairs} snapshot pairs, spread evenly; the chosen model is fitted to more")
+        amount = f"{pairs} of {train.pairs} snapshot pairs"
+        remarks.append(f"the search looks at {amount}, spread evenly; the chosen model is fitted to more")
     return parts, remarks
 
 
 def _first_round(train, delays, predictor):
-    """A linear and a nonlinear dictionary: cubic monomials while they are few, else Gaussians."""
+    """Models with a linear and a nonlinear dictionary: cubic monomials while they are few, else Gaussians."""
     linear, cubic = (_monomials(train, delays, predictor, degree) for degree in (1, 3))
     most = _most(train)
     nonlinear = Monomials(3) if cubic <= min(150, most) else GaussianRBF(60, width="auto", centres="kmeans")
-    return [Monomials(1), nonlinear] if linear + 60 <= most or cubic <= most else [Monomials(1)]
+    dictionaries = [Monomials(1), nonlinear] if linear + 60 <= most or cubic <= most else [Monomials(1)]
+    return [KoopmanModel(dictionary, predictor, delays) for dictionary in dictionaries]
 
 
 def _second_round(train, delays, pairs, predictor):
@@ -243,7 +260,8 @@ def _second_round(train, delays, pairs, predictor):
         predictors = ["one_step"] if delays and train.m else ["vector_field", "one_step"]
     models = []
     for each in predictors:
-        most = _most(train) if each != "vector_field" else min(150, _most(train))  # the field is evaluated several times per sample
+        # A field is evaluated several times per sample.
+        most = _most(train) if each != "vector_field" else min(150, _most(train))
         dictionaries = _dictionaries(train, delays, each, (1, 2, 3, 4, 5), (30, 100, 250), most)
         if not delays and each != "lifted_linear" and train.n == 2 * len(pairs):
             dictionaries += _mechanical(train, pairs)
@@ -255,7 +273,8 @@ def _dictionaries(recording, delays, predictor, degrees, centres, most):
     """Monomials and Gaussians with at most so many functions; linear ones in any case."""
     size = {degree: _monomials(recording, delays, predictor, degree) for degree in degrees}
     monomials = [Monomials(degree) for degree in degrees if degree == 1 or size[degree] <= most]
-    return monomials + [GaussianRBF(count, width="auto", centres="kmeans") for count in centres if size[1] + count <= most]
+    counts = [count for count in centres if size[1] + count <= most]
+    return monomials + [GaussianRBF(count, width="auto", centres="kmeans") for count in counts]
 
 
 def _mechanical(train, pairs):
@@ -266,12 +285,12 @@ def _mechanical(train, pairs):
 
 
 def _monomials(recording, delays, predictor, degree):
-    """The number of monomials: a vector field knows no earlier inputs, and a lifted linear model does not lift the present ones."""
+    """The number of monomials; a vector field knows no earlier inputs, a lifted linear model lifts no present ones."""
     channels = recording.n * (delays + 1) + recording.m * (0 if predictor == "lifted_linear" else 1)
     channels += recording.m * delays if predictor != "vector_field" else 0
     return math.comb(channels + degree, degree)
 
 
 def _most(train):
-    """The number of functions worth trying: at least five snapshot pairs for each, and no more than a search can afford."""
+    """The number of functions worth trying: five snapshot pairs for each, but not more than take too long."""
     return max(train.n + train.m + 1, min(300, train.pairs // 5))
