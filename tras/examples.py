@@ -39,18 +39,11 @@ def cart_pole(point):
     return np.stack([v, acceleration, omega, (turned - acceleration * cosine) / 0.5])
 
 
-# Vector field, channels with units (states, then the input), sampling time (s), highest frequency (rad/s) and peak of the input, noise of each state.
+# Vector field, units of states and input, sampling time (s), highest frequency (rad/s) and peak of the input, noise.
 SYSTEMS = {
     "duffing": (duffing, {"q": "m", "qdot": "m/s"}, {"force": "N"}, 0.05, 3.0, 2.5, (0.001, 0.004)),
-    "cart_pole": (
-        cart_pole,
-        {"position": "m", "velocity": "m/s", "theta": "rad", "thetadot": "rad/s"},
-        {"force": "N"},
-        0.02,
-        6.0,
-        5.0,
-        (0.001, 0.01, 0.002, 0.02),
-    ),
+    "cart_pole": (cart_pole, {"position": "m", "velocity": "m/s", "theta": "rad", "thetadot": "rad/s"}, {"force": "N"},
+        0.02, 6.0, 5.0, (0.001, 0.01, 0.002, 0.02)),
 }
 
 

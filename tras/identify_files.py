@@ -80,13 +80,14 @@ def _write_all(identification, log, name, stage):
     (stage / "tables").mkdir()
     (stage / "figures").mkdir()
     pictures = _figures(identification, stage / "figures")
-    for table, key in _tables(identification):
+    tables = _tables(identification)
+    for key, (_, table) in tables.items():
         table.to_csv(stage / "tables" / f"{key}.csv", index=key == "correlation", float_format="%.10g", lineterminator="\n")
     identification.model.save(stage / "model.npz")
     exports, failures = _exports(identification, stage)
     contents = [
         ("report.html", "this page"), ("identify.ipynb", "the notebook that made it all, executed"), ("model.npz", "the model, for tras.load_model"), *exports,
-        *((f"tables/{key}.csv", what) for key, what in _TABLES.items()), ("figures/", "every figure as PDF, SVG and PNG, and its numbers as CSV"),
+        *((f"tables/{key}.csv", what) for key, (what, _) in tables.items()), ("figures/", "every figure as PDF, SVG and PNG, and its numbers as CSV"),
     ]  # fmt: skip
     text = stage / "export" / "formulas.txt"
     formulas = text.read_text(encoding="utf-8") if text.exists() else ""
@@ -97,29 +98,21 @@ def _write_all(identification, log, name, stage):
     return pd.DataFrame(contents, columns=["file", "what"])
 
 
-_TABLES = {
-    "channels": "ranges, limits, steps and noise of every channel",
-    "correlation": "correlation between inputs",
-    "spectra": "spectra of every channel",
-    "search": "every candidate with its error",
-    "metrics": "the test",
-    "growth": "error against time ahead",
-    "predictions": "measured and predicted states over two test windows, with the band",
-    "eigenvalues": "of the Koopman matrices",
-    "advice": "the warnings of this page",
-}
-
-
 def _tables(identification):
-    yield identification.checks.channels, "channels"
-    yield identification.checks.correlation, "correlation"
-    yield identification.checks.spectrum, "spectra"
-    yield identification.search.drop(columns=["model"]), "search"
-    yield identification.metrics, "metrics"
-    yield identification.growth, "growth"
-    yield identification.overlay, "predictions"
-    yield identification.eigenvalues, "eigenvalues"
-    yield pd.DataFrame(identification.advice, columns=["weight", "about", "text"]), "advice"
+    """Table -> (what it holds, the table)."""
+    checks = identification.checks
+    advice = pd.DataFrame(identification.advice, columns=["weight", "about", "text"])
+    return {
+        "channels": ("ranges, limits, steps and noise of every channel", checks.channels),
+        "correlation": ("correlation between inputs", checks.correlation),
+        "spectra": ("spectra of every channel", checks.spectrum),
+        "search": ("every candidate with its error", identification.search.drop(columns=["model"])),
+        "metrics": ("the test", identification.metrics),
+        "growth": ("error against time ahead", identification.growth),
+        "predictions": ("measured and predicted states over two test windows, with the band", identification.overlay),
+        "eigenvalues": ("of the Koopman matrices", identification.eigenvalues),
+        "advice": ("the warnings of this page", advice),
+    }
 
 
 def _figures(identification, folder):

@@ -48,33 +48,25 @@ def write_page(identification, log, name, figures, exports, failures, formulas="
 
     put(f"# Identification of {_plain(name)}")
     put("## In short", text(advice.verdict(identification)), _chosen(identification), _advice(identification))
-    put("## The recording", text(_size(identification)), _list(remarks(log)), _list(step_remarks["pairs"]), _channels(identification))
+    sentences = [_list(remarks(log)), _list(step_remarks["pairs"])]
+    put("## The recording", text(_size(identification)), *sentences, _channels(identification))
     caption = "The recording, trajectories one behind the other (grey lines where one begins). " + _shown(identification)
     parts.append(picture("data", "All channels over time", caption))
     parts.append(convert("### Excitation"))
     parts.append(text(_excitation(identification)) + _correlation(identification))
-    parts.append(
-        picture(
-            "spectra",
-            "Spectra of inputs and states",
-            "Where in frequency the channels move, by Welch's method: share of variance per Hz. Means are taken away.",
-        )
-    )
+    caption = "Where in frequency the channels move, by Welch's method: share of variance per Hz. Means are taken away."
+    parts.append(picture("spectra", "Spectra of inputs and states", caption))
     sentences = [*step_remarks["partition"], *step_remarks["search"]]
     put("## How the model was chosen", text(_search_text(identification)), _list(sentences), _candidates(identification))
     put("## How well it predicts", text(_test_text(identification)), _metrics(identification))
     parts.append(picture("predictions", "Measured and predicted states over two test windows", _prediction_caption(identification)))
-    parts.append(
-        picture(
-            "growth",
-            "Error against time ahead",
-            "Root mean square error of all states over the test windows, each in percent of the state's range, against how far ahead is predicted.",
-        )
-    )
+    caption = ("Root mean square error of all states over the test windows, each in percent of the state's range, "
+        "against how far ahead is predicted.")
+    parts.append(picture("growth", "Error against time ahead", caption))
     put("## The operator", f"<pre>{page.escape(summary.describe(identification.model))}</pre>\n", _formulas(formulas))
-    parts.append(picture("spectrum", "Eigenvalues with the unit circle", "Eigenvalues of the Koopman matrices and the unit circle; on the right the "
-        "neighbourhood of one. One exactly belongs to "
-                         "the constant and to functions of inputs alone, which are held over a sample."))  # fmt: skip
+    caption = ("Eigenvalues of the Koopman matrices and the unit circle; on the right the neighbourhood of one. "
+        "One exactly belongs to the constant and to functions of inputs alone, which are held over a sample.")
+    parts.append(picture("spectrum", "Eigenvalues with the unit circle", caption))
     put("## Files", _files(exports), _list(failures), _use(identification))
     return page.frame(f"Identification of {name}", "".join(parts), contents)
 
@@ -130,19 +122,15 @@ def _channels(identification):
         cells = [row["channel"], row["role"], row["unit"] or "–", *(f"{row[key]:.4g}" for key in ("lowest", "highest", "mean", "deviation"))]
         rows.append([page.escape(cell) for cell in (*cells, f"{row['step']:.3g}" if row["step"] else "–", f"{limit:.2g}", level)])
     head = ["channel", "role", "unit", "lowest", "highest", "mean", "deviation", "step", "at a limit (%)", "noise (% of range)"]
-    return page.table(
-        head,
-        rows,
-        "Channels: deviation is the standard deviation, step the usual distance between neighbouring values if they are few, noise what moves within "
-        "four samples.",
-    )
+    caption = ("Channels: deviation is the standard deviation, step the usual distance between neighbouring values "
+        "if they are few, noise what moves within four samples.")
+    return page.table(head, rows, caption)
 
 
 def _excitation(identification):
     facts = identification.checks.facts
-    sentences = [
-        f"Constant, states and inputs, each scaled to its range: rank {facts['rank']} of {facts['channels']}, condition number {facts['condition']:.3g}."
-    ]
+    rank, condition = f"rank {facts['rank']} of {facts['channels']}", f"condition number {facts['condition']:.3g}"
+    sentences = [f"Constant, states and inputs, each scaled to its range: {rank}, {condition}."]
     if facts["order"] is not None:
         more = " or more" if facts["order"] == 20 else ""
         sentences.append(f"The inputs are persistently exciting of order {facts['order']}{more}, lags of {facts['lag'] * facts['dt']:.3g} s.")
@@ -178,18 +166,9 @@ def _candidates(identification):
         error = f"{row['error']:.4g}" if math.isfinite(row["error"]) else "–"
         functions = f"{row['functions']:.0f}" if math.isfinite(row["functions"]) else "–"
         strength = f"{row['strength']:g}" if math.isfinite(row["strength"]) else "–"
-        rows.append(
-            [
-                page.escape(row["model"].dictionary.words(identification.recording.state_names)),
-                page.escape(row["predictor"]),
-                str(row["delays"]),
-                page.escape(row["states"]),
-                functions,
-                strength,
-                error,
-                mark,
-            ]
-        )
+        words = row["model"].dictionary.words(identification.recording.state_names)
+        options = [page.escape(words), page.escape(row["predictor"]), str(row["delays"]), page.escape(row["states"])]
+        rows.append([*options, functions, strength, error, mark])
     count = len(identification.search)
     more = f" The best {_ROWS} of {count}; all are in tables/search.csv." if count > _ROWS else ""
     head = ["dictionary", "predictor", "delays", "states", "functions", "strength", "error (half-ranges)", ""]

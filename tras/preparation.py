@@ -19,20 +19,15 @@ _FINE = 2e-4  # noise, as a fraction of the range, that is not worth smoothing a
 
 
 class Prepared(NamedTuple):
-    """A recording made ready; see `prepare`.
+    """A recording made ready; see `prepare`."""
 
-    ``recording`` without idle channels; ``train`` and ``test``, its two parts, uncut; ``pairs`` of positions and their
-    velocities, by name; ``memory`` of the states and ``samples`` of a piece; ``remarks``, lists of sentences under
-    "idle", "partition" and "pairs".
-    """
-
-    recording: Recording
-    train: Recording
+    recording: Recording  # without idle channels
+    train: Recording  # uncut, as is the test
     test: Recording
-    pairs: list
-    memory: int
-    samples: int
-    remarks: dict
+    pairs: list  # (position, velocity), names
+    memory: int  # samples
+    samples: int  # of a piece
+    remarks: dict  # "idle", "partition", "pairs" -> sentences
 
 
 def prepare(recording):
