@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 import tras
-from tras import advice, datachecks, identify_files, identify_search, preparation
+from tras import advice, datachecks, identify_files, preparation, search
 from tras.examples import cart_pole, duffing, example
 from tras.identify_scores import compare, growth, typical_and_worst
 
@@ -28,7 +28,7 @@ def log():
 
 
 @pytest.fixture(scope="module")
-def found(log):
+def identification(log):
     return tras.identify(log, predictor="one_step", delays=[0, 1], draws=5)
 
 
@@ -144,13 +144,21 @@ def test_idle_channels_are_left_out_and_said():
         preparation.without_idle_channels(one([np.ones(10)], [T[:10]]))
 
 
+def paired(recording):
+    return preparation.velocity_pairs(recording, preparation.memory(recording))
+
+
+def piece_length(recording):
+    return preparation.piece_length(recording, preparation.memory(recording))
+
+
 def test_velocities_are_known_by_their_numbers():
     r = example("cart_pole", trials=2)
     shuffled = r.select(states=["thetadot", "position", "theta", "velocity"])
-    assert preparation.velocity_pairs(shuffled) == [("position", "velocity"), ("theta", "thetadot")]
+    assert paired(shuffled) == [("position", "velocity"), ("theta", "thetadot")]
     degrees = R([x * [1, 1, 57.3, 1] for x, _ in shuffled], [u for _, u in shuffled], r.dt)
-    assert preparation.velocity_pairs(degrees) == [("x2", "x4")]  # degrees and rad/s do not fit
-    assert preparation.velocity_pairs(r.select(states=["position"])) == []
+    assert paired(degrees) == [("x2", "x4")]  # degrees and rad/s do not fit
+    assert paired(r.select(states=["position"])) == []
 
 
 def test_memory_and_pieces():
@@ -160,11 +168,11 @@ def test_memory_and_pieces():
         x[k] = 0.95 * x[k - 1] + rng.normal()
     recording = one([x])
     assert preparation.memory(recording) == pytest.approx(1 / -np.log(0.95), rel=0.2)
-    samples, why = preparation.piece_length(recording)
+    samples, why = piece_length(recording)
     assert samples == 5 * preparation.memory(recording) + 1 and "five times" in why
-    assert preparation.piece_length(one([x[:200]]))[0] == 26
-    assert preparation.piece_length(one([np.cumsum(np.cumsum(x))]))[0] == 501
-    assert preparation.piece_length(one([x[:20]]))[0] == 20
+    assert piece_length(one([x[:200]]))[0] == 26
+    assert piece_length(one([np.cumsum(np.cumsum(x))]))[0] == 501
+    assert piece_length(one([x[:20]]))[0] == 20
 
 
 @pytest.mark.parametrize("lengths", [[500], [300, 200], [60] * 8])
@@ -193,24 +201,24 @@ def test_long_recordings_are_smoothed_in_chunks_and_keep_their_length(monkeypatc
 # --- search and scores -------------------------------------------------------------------------------------------------------------
 
 
-def test_the_search_finds_what_made_the_data(found, log):
-    table = found.search
+def test_the_search_finds_what_made_the_data(identification, log):
+    table = identification.search
     assert table["chosen"].sum() == 1 and set(table["states"]) == {"as measured", "smoothed"} and set(table["predictor"]) == {"one_step"}
-    assert found.model.dictionary.__class__.__name__ in ("Monomials", "Mechanical") and found.model.delays == 0
+    assert identification.model.dictionary.__class__.__name__ in ("Monomials", "Mechanical") and identification.model.delays == 0
     chosen, least = table[table["chosen"]].iloc[0], table["error"].min()
     assert chosen["error"] <= 1.1 * least
     assert chosen["functions"] == table[table["error"] <= 1.1 * least]["functions"].min()
     assert not table.duplicated(["states", "delays", "predictor", "dictionary"]).any()
-    numbers = found.metrics.set_index(["prediction", "state"])["nrmse"]
+    numbers = identification.metrics.set_index(["prediction", "state"])["nrmse"]
     assert (numbers["model"] < 0.2).all() and (numbers["linear model"] > 5).all()  # the noise is 0.03 % of the range
-    assert found.model.pairs_ == 5 * 500 - 0 and len(found.ensemble) == 5
+    assert identification.model.pairs_ == 5 * 500 - 0 and len(identification.ensemble) == 5
 
 
 def test_of_errors_that_are_alike_the_smallest_model_wins():
     table = pd.DataFrame({"functions": [100, 10, 10, 2], "error": [1.0, 1.08, 1.05, 1.3], "failure": ""})
-    assert identify_search._best(table).name == 2
-    with pytest.raises(ValueError, match="none of 2 candidates .* because: no logarithm"):
-        identify_search._best(pd.DataFrame({"functions": [1, 1], "error": np.inf, "failure": "no logarithm"}))
+    assert search.best(table, 1.1).name == 2
+    with pytest.raises(ValueError, match="none of the 2 candidates .* because: no logarithm"):
+        search.best(pd.DataFrame({"functions": [1, 1], "error": np.inf, "failure": "no logarithm"}), 1.1)
 
 
 def test_a_free_system_has_no_inputs():
@@ -223,7 +231,7 @@ def test_a_free_system_has_no_inputs():
 
 def test_roll_outs_begin_at_one_instant(log):
     models = [tras.KoopmanModel(tras.Monomials(1), "one_step", d).fit(log) for d in (0, 2)]
-    runs = [identify_search.rolled(model, log, 4) for model in models]
+    runs = [search.roll_outs(model, log, 4) for model in models]
     assert [len(x) for x in runs[0]] == [len(x) for x in runs[1]] == [497] * 6
     assert all(np.array_equal(a[0], x[4]) and np.array_equal(b[0], x[4]) for a, b, (x, _) in zip(*runs, log))
     assert np.allclose(runs[1][0], models[1].simulate(log.states[0, 2:5], log.inputs[0, 2:])[2:])
@@ -260,9 +268,9 @@ def abouts(recording, **options):
     return {each.about: each for each in tras.identify(recording, predictor="one_step", delays=[0], smoothing=False, draws=0, **options).advice}
 
 
-def test_a_good_recording_has_no_warning(found):
-    assert {each.weight for each in found.advice} <= {"note"}
-    assert advice.verdict(found).startswith("Over ") and "times as large" in advice.verdict(found)
+def test_a_good_recording_has_no_warning(identification):
+    assert {each.weight for each in identification.advice} <= {"note"}
+    assert advice.verdict(identification).startswith("Over ") and "times as large" in advice.verdict(identification)
 
 
 def test_bad_recordings_are_told_what_is_wrong():
@@ -318,9 +326,9 @@ def test_too_little_excitation_short_and_unstable():
 # --- files -------------------------------------------------------------------------------------------------------------------------
 
 
-def test_files_are_replaced_and_those_of_others_left(found, log, tmp_path, monkeypatch):
+def test_files_are_replaced_and_those_of_others_left(identification, log, tmp_path, monkeypatch):
     folder = tmp_path / "out"
-    identify_files.write(found, log, "<script>&.csv", folder)
+    identify_files.write(identification, log, "<script>&.csv", folder)
     text = (folder / "report.html").read_text(encoding="utf-8")
     assert "<script" not in text and "&lt;script&gt;&amp;.csv" in text
     first = {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
@@ -331,7 +339,7 @@ def test_files_are_replaced_and_those_of_others_left(found, log, tmp_path, monke
     more = pd.DataFrame({"file": ["tables/old.csv", "../outside.txt", str(tmp_path / "outside.txt")]})
     pd.concat([listed, more]).to_csv(folder / "contents.csv", index=False)
     monkeypatch.setattr(identify_files, "_figures", lambda *_: {})
-    identify_files.write(found, log, "<script>&.csv", folder)
+    identify_files.write(identification, log, "<script>&.csv", folder)
     again = {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     left = {path.as_posix(): content for path, content in first.items() if path.parts[0] != "figures" and path.suffix not in (".html",)}
     assert again.keys() == left.keys() | {"mine.txt", "report.html"}
@@ -343,7 +351,7 @@ def test_files_are_replaced_and_those_of_others_left(found, log, tmp_path, monke
 
     monkeypatch.setattr(identify_files, "write_page", full)
     with pytest.raises(OSError, match="No space left"):
-        identify_files.write(found, log, "log.csv", tmp_path / "new")
+        identify_files.write(identification, log, "log.csv", tmp_path / "new")
     assert not (tmp_path / "new").exists() and not list(tmp_path.glob(".*"))
 
 

@@ -10,8 +10,9 @@ import pytest
 from conftest import linear_system
 
 import tras
-from tras import cache, executors, figures_sweep, sweep_grid, sweep_point, sweep_run, sweeps
+from tras import cache, executors, figures_sweep, sweep_point, sweep_run, sweeps
 from tras.metrics import nrmse
+from tras.dictionary import label
 from tras.sweep_grid import dictionaries, points
 
 GRID = [
@@ -361,7 +362,7 @@ def test_dictionaries_as_yaml_has_them():
     assert one.positions == [0, 2]
     unions = dictionaries({"Union": [{"Monomials": {"degree": [1, 2]}}, {"GaussianRBF": {"n_centres": 5, "seed": [0, 1]}}]})
     assert len(unions) == 4 and [part.get_params()["seed"] for part in (u.get_params()["parts"][1] for u in unions)] == [0, 1, 0, 1]
-    assert sweep_grid.label(unions[0]).startswith("Union(parts=[Monomials(degree=1), GaussianRBF(centres='uniform', n_centres=5,")
+    assert label(unions[0]).startswith("Union(parts=[Monomials(degree=1), GaussianRBF(centres='uniform', n_centres=5,")
     twice = points([ONE, ONE, tras.KoopmanModel(tras.Monomials(1), "one_step", strength=0.0)])
     assert len(twice) == 1
 

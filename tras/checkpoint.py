@@ -1,12 +1,11 @@
 """Checkpoints of a fit that takes long: where it was in the data, and all that it had learnt of them."""
 
-import hashlib
 import json
 from pathlib import Path
 
 import numpy as np
-from sklearn.base import BaseEstimator
 
+from tras.dictionary import spelled
 from tras.files import replacing
 from tras.fitting import rows_and_hull
 from tras.storage import UNREADABLE, read_npz
@@ -74,24 +73,6 @@ def described(model):
         "delays": int(model.delays), "earlier inputs": bool(model.delays and model.predictor != "vector_field"),
         "extrapolation": model.extrapolation, "columns": model.columns, "strength": "auto" if chooses else "given",
     }  # fmt: skip
-
-
-def spelled(value):
-    """An estimator with all its parameters, or the value of one, in a line of text; arrays and generators by a digest."""
-    if isinstance(value, BaseEstimator):
-        inner = {key: spelled(item) for key, item in value.get_params(deep=False).items()}
-        return f"{type(value).__name__}({', '.join(f'{key}={item}' for key, item in inner.items())})"
-    if isinstance(value, (list, tuple)):
-        return f"[{', '.join(map(spelled, value))}]"
-    if isinstance(value, np.random.Generator):
-        return f"Generator {_digest(repr(value.bit_generator.state).encode())}"
-    if isinstance(value, np.ndarray):
-        return f"array {value.shape} {_digest(np.ascontiguousarray(value).tobytes())}"
-    return repr(value.item() if isinstance(value, np.generic) else value)
-
-
-def _digest(data):
-    return hashlib.sha256(data).hexdigest()[:12]
 
 
 def _npz_path(path):

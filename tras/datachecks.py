@@ -1,4 +1,4 @@
-"""What can be said of a recording before any model: channels, saturation, noise, excitation, feedback. Numbers only; `tras.advice` judges them."""
+"""Facts about a recording before any model: saturation, noise, excitation, feedback; `tras.advice` judges them."""
 
 from typing import NamedTuple
 
@@ -9,10 +9,10 @@ from scipy import signal
 from tras.noise import noise_level
 from tras.recording import join
 
-_FEW_LEVELS = 10  # a channel of so few values is a switch, not one at its limits
-_ORDER = 20  # persistency of excitation is looked for up to here
-_SMALL = 1e-3  # singular values below this fraction of the largest: that direction is not excited
-_ROWS = 50_000  # samples that regressions look at
+_FEW_LEVELS = 10  # a channel with so few values is a switch, not at its limits
+_ORDER = 20  # of persistent excitation, at most
+_SMALL = 1e-3  # a direction whose singular value is below this fraction of the largest is not excited
+_ROWS = 50_000  # samples of a regression, at most
 
 
 class Checks(NamedTuple):
@@ -25,7 +25,7 @@ class Checks(NamedTuple):
 
 
 def check(recording, lag=1):
-    """Everything below, for one recording.
+    """All checks of this module, for one recording.
 
     Parameters
     ----------
@@ -36,9 +36,10 @@ def check(recording, lag=1):
     Returns
     -------
     Checks
-        ``channels``: see `channels`. ``correlation``: coefficients between inputs. ``spectrum``: ``frequency`` (Hz) and a column a channel, its
-        share of variance per Hz. ``facts``: ``trajectories, samples, pairs, dt, seconds, rank, condition`` (of constant, states and inputs, scaled),
-        ``order`` (persistency of excitation, None without inputs), ``feedback`` (input -> R squared of a linear function of the states).
+        ``channels``: see `channels`. ``correlation``: coefficients between inputs. ``spectrum``: see `spectrum`.
+        ``facts``: ``trajectories, samples, pairs, dt, seconds, rank, condition`` (of constant, states and inputs,
+        scaled), ``order`` (persistency of excitation, None without inputs), ``feedback`` (input -> R squared of a
+        linear function of the states).
     """
     recording = join(recording)
     x, u = (np.concatenate(part) for part in zip(*recording))
@@ -56,34 +57,35 @@ def check(recording, lag=1):
 
 
 def channels(recording):
-    """A row a channel.
+    """One row per channel.
 
     Returns
     -------
     pandas.DataFrame
-        ``channel, role, unit, lowest, highest, mean, deviation``; ``levels``, the number of different values, and ``step``, the usual distance
-        between neighbouring ones (0 if there are too many to be levels); ``at_lowest, at_highest``, the share of samples that stand at a limit (0
-        where an extreme is just an extreme); ``noise``, a fraction of the range (NaN for inputs); ``jump``, the largest change over a sample as a
-        fraction of the range, and ``usual``, the 99th percentile of the same; ``wraps``, how often it jumps by a full turn (360 or 2 pi);
+        ``channel, role, unit, lowest, highest, mean, deviation``; ``levels``, the number of different values, and
+        ``step``, the usual distance between neighbouring ones (0 if there are too many to be levels); ``at_lowest,
+        at_highest``, the share of samples that stand at a limit (0 where an extreme is just an extreme); ``noise``, a
+        fraction of the range (NaN for inputs); ``jump``, the largest change over a sample as a fraction of the range,
+        and ``usual``, the 99th percentile of the same; ``wraps``, how often it jumps by a full turn (360 or 2 pi);
         ``shift``, the difference of the means of first and second half in deviations.
     """
     level = noise_level(recording) if recording.lengths.max() >= 4 else np.full(recording.n, np.nan)
     x, u = (np.concatenate(part) for part in zip(*recording))
     within = np.ones(len(x), dtype=bool)
-    within[np.cumsum(recording.lengths)[:-1]] = False  # a change from one trajectory to the next is none
+    within[np.cumsum(recording.lengths)[:-1]] = False  # the step from one trajectory to the next is no change
     names = [*zip(recording.state_names, recording.state_units), *zip(recording.input_names, recording.input_units)]
     rows = []
     for i, ((name, unit), values) in enumerate(zip(names, np.hstack([x, u]).T)):
         low, high = values.min(), values.max()
         span = high - low if high > low else 1.0
-        found = np.unique(values)
-        few = len(found) <= len(values) / 5
+        levels = np.unique(values)
+        few = 1 < len(levels) <= len(values) / 5
         changes = np.abs(np.diff(values))[within[1:]] / span if len(values) > 1 else np.zeros(1)
         half = len(values) // 2
         rows.append({
             "channel": name, "role": "state" if i < recording.n else "input", "unit": unit, "lowest": low, "highest": high, "mean": values.mean(),
-            "deviation": values.std(), "levels": len(found), "step": float(np.median(np.diff(found))) if few and len(found) > 1 else 0.0,
-            "at_lowest": _at_limit(-values, -found[::-1]), "at_highest": _at_limit(values, found),
+            "deviation": values.std(), "levels": len(levels), "step": float(np.median(np.diff(levels))) if few else 0.0,
+            "at_lowest": _at_limit(-values, -levels[::-1]), "at_highest": _at_limit(values, levels),
             "noise": level[i] / span if i < recording.n else np.nan,
             "jump": changes.max(initial=0.0), "usual": float(np.quantile(changes, 0.99)) if len(changes) else 0.0,
             "wraps": _wraps(changes * span),
@@ -93,10 +95,11 @@ def channels(recording):
 
 
 def excitation_order(recording, lag=1):
-    """Order to which the inputs are persistently exciting, up to 20: the depth at which their Hankel matrix still has full rank.
+    """The order, up to 20, of persistent excitation: the greatest depth at which the inputs' Hankel matrix has full rank.
 
-    J. C. Willems et al., Syst. Control Lett. 54, 2005, 325. Rows are ``lag`` samples apart, for samples that follow each other closely are nearly
-    the same; full rank is a smallest singular value of a thousandth of the largest. None without inputs.
+    J. C. Willems et al., Syst. Control Lett. 54, 2005, 325. Rows are ``lag`` samples apart, because neighbouring
+    samples are nearly the same; the rank is full if the smallest singular value is at least a thousandth of the
+    largest. None without inputs.
     """
     if not recording.m:
         return None
@@ -121,19 +124,19 @@ def feedback(recording):
     every = max(1, len(x) // _ROWS)
     x, u = x[::every], u[::every]
     regressors = np.hstack([np.ones((len(x), 1)), (x - x.mean(axis=0)) / np.where(x.std(axis=0) > 0, x.std(axis=0), 1.0)])
-    found = {}
+    shares = {}
     for name, values in zip(recording.input_names, u.T):
         values = values - values.mean()
         rest = values - regressors @ np.linalg.lstsq(regressors, values, rcond=None)[0]
         total = values @ values
-        found[name] = float(1 - rest @ rest / total) if total > 0 else 0.0
-    return found
+        shares[name] = float(1 - rest @ rest / total) if total > 0 else 0.0
+    return shares
 
 
 def spectrum(recording):
-    """Share of variance per Hz of every channel, by Welch's method over all trajectories: ``frequency`` (Hz), then a column a channel.
+    """Share of variance per Hz, by Welch's method over all trajectories: ``frequency`` (Hz), one column per channel.
 
-    At zero frequency nothing is shown, for means are taken away.
+    Means are removed, so there is no row for zero frequency.
     """
     length = int(min(1024, np.median(recording.lengths)))
     names = [*recording.state_names, *recording.input_names]
@@ -152,26 +155,26 @@ def spectrum(recording):
 
 def beyond(train, test):
     """Channel -> share of the test's samples outside the range of the training data."""
-    found = {}
+    shares = {}
     for a, b, names in zip(zip(*train), zip(*test), (train.state_names, train.input_names)):
         a, b = np.concatenate(a), np.concatenate(b)
         outside = (b < a.min(axis=0)) | (b > a.max(axis=0))
-        found |= dict(zip(names, outside.mean(axis=0).tolist()))
-    return found
+        shares |= dict(zip(names, outside.mean(axis=0).tolist()))
+    return shares
 
 
-def _at_limit(values, found):
-    """Share of samples at the highest value, if they stand there as at a stop: at least 1 %, in three stays or more, and far more than just below."""
-    at = values == found[-1]
+def _at_limit(values, levels):
+    """The share of samples at the highest value if it is a limit: 1 % or more, in three stays, far more than below it."""
+    at = values == levels[-1]
     share = at.mean()
-    if len(found) <= _FEW_LEVELS or share < 0.01 or np.sum(np.diff(at.astype(int)) > 0) + at[0] < 3:
+    if len(levels) <= _FEW_LEVELS or share < 0.01 or np.sum(np.diff(at.astype(int)) > 0) + at[0] < 3:
         return 0.0
-    near = (values < found[-1]) & (values >= min(found[-2], found[-1] - 0.01 * (found[-1] - found[0])))
+    near = (values < levels[-1]) & (values >= min(levels[-2], levels[-1] - 0.01 * (levels[-1] - levels[0])))
     return float(share) if share > 5 * near.mean() else 0.0
 
 
 def _wraps(changes):
-    """How many of the changes over a sample are full turns, in degrees or radians, if the others are much smaller; 0 if they are not."""
+    """How many changes over a sample are full turns, in degrees or radians; 0 unless the others are much smaller."""
     for turn in (360.0, 2 * np.pi):
         whole = np.abs(changes - turn) < 0.25 * turn
         if whole.any() and changes[~whole].max(initial=0.0) < 0.3 * turn and changes.max() < 1.001 * turn:
@@ -180,7 +183,7 @@ def _wraps(changes):
 
 
 def _rank(channels):
-    """Numerical rank and condition number of constant and channels, these scaled to [-1, 1]."""
+    """The numerical rank and condition number of the constant and the channels, scaled to [-1, 1]."""
     low, high = channels.min(axis=0), channels.max(axis=0)
     half = np.where(high > low, (high - low) / 2, 1.0)
     scaled = np.hstack([np.ones((len(channels), 1)), (channels - (high + low) / 2) / half])

@@ -7,6 +7,7 @@ Here: monomials, exponentials, Fourier functions, unions and products. `tras.rad
 for mechanical systems.
 """
 
+import hashlib
 import itertools
 
 import numpy as np
@@ -89,6 +90,10 @@ class Dictionary(BaseEstimator):
         """Names of the N functions for the given channel names, states first."""
         return ["1", *channels, *self._tail_names(list(channels))]
 
+    def words(self, channels):
+        """The dictionary in a few words for a report, channels by their names."""
+        return label(self)
+
     def get_feature_names_out(self, input_features=None):
         """scikit-learn's name for `feature_names`."""
         return np.array(self.names if input_features is None else self.feature_names(list(input_features)), dtype=object)
@@ -143,6 +148,9 @@ class Monomials(Dictionary):
 
     def __init__(self, degree=2):
         self.degree = degree
+
+    def words(self, channels):
+        return "linear" if self.degree == 1 else f"monomials, degree {self.degree}"
 
     def _build(self):
         check_count("degree", self.degree)
@@ -345,6 +353,36 @@ class Product(_Combination):
     def _all_names(self, channels):
         a, b = (part.feature_names(channels) for part in self.parts_)
         return [f if g == "1" else g if f == "1" else f"{f} {g}" for g in b for f in a]
+
+
+def label(estimator):
+    """A dictionary in one line of a table, or a model by its dictionary and delays: every parameter that is set, with its value.
+
+    >>> label(Union(Monomials(1), Fourier()))
+    'Union(parts=[Monomials(degree=1), Fourier(order=1, period=4.0)])'
+    """
+    dictionary, delays = getattr(estimator, "dictionary", estimator), getattr(estimator, "delays", 0)
+    parameters = {name: value for name, value in dictionary.get_params(deep=False).items() if value is not None}
+    line = f"{type(dictionary).__name__}({', '.join(f'{name}={spelled(value)}' for name, value in parameters.items())})"
+    return line + (f", {delays} delays" if delays else "")
+
+
+def spelled(value):
+    """An estimator with all its parameters, or the value of one, in a line of text; arrays and generators by a digest."""
+    if isinstance(value, BaseEstimator):
+        inner = {key: spelled(item) for key, item in value.get_params(deep=False).items()}
+        return f"{type(value).__name__}({', '.join(f'{key}={item}' for key, item in inner.items())})"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(spelled, value))}]"
+    if isinstance(value, np.random.Generator):
+        return f"Generator {_digest(repr(value.bit_generator.state).encode())}"
+    if isinstance(value, np.ndarray):
+        return f"array {value.shape} {_digest(np.ascontiguousarray(value).tobytes())}"
+    return repr(value.item() if isinstance(value, np.generic) else value)
+
+
+def _digest(data):
+    return hashlib.sha256(data).hexdigest()[:12]
 
 
 def check_count(name, value):

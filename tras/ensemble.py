@@ -1,6 +1,6 @@
-"""How sure is a prediction: the same model fitted anew to trajectories drawn with replacement (B. Efron, Ann. Statist. 7, 1979, 1).
+"""How certain a prediction is: the same model fitted anew to trajectories drawn with replacement.
 
-Trajectories are what is drawn, because samples that follow each other are not independent.
+B. Efron, Ann. Statist. 7, 1979, 1. Whole trajectories are drawn, because neighbouring samples are not independent.
 """
 
 import numpy as np
@@ -17,9 +17,9 @@ def bootstrap(model, recording, draws=100, rng=0, *, processes=1):
     Parameters
     ----------
     model : KoopmanModel
-        Fitted: each member keeps its strength of regularisation and chooses nothing anew. It is not changed.
+        Fitted. Each member has its strength of regularization. The model is not changed.
     recording : Recording or sequence of them
-        What it was fitted to, in ten trajectories or more (`Recording.cut`).
+        The data of that fit, in ten trajectories or more (`Recording.cut`).
     draws : int
         Members, 2 or more.
     rng : numpy.random.Generator or int
@@ -30,12 +30,13 @@ def bootstrap(model, recording, draws=100, rng=0, *, processes=1):
     Returns
     -------
     list of KoopmanModel
-        For `prediction_band`, or anything else that each member should say.
+        For `prediction_band`, or anything else that each member can be asked.
 
     Raises
     ------
     ValueError
-        If there are fewer than ten trajectories, or a draw cannot be identified: the recording then hangs on single trajectories.
+        If there are fewer than ten trajectories, or a draw cannot be identified: the fit then depends on single
+        trajectories.
 
     Examples
     --------
@@ -58,16 +59,16 @@ def bootstrap(model, recording, draws=100, rng=0, *, processes=1):
         raise ValueError(f"draws is {draws!r}; give a whole number, 2 or more.")
     if isinstance(rng, bool) or not isinstance(rng, (np.random.Generator, int, np.integer)):
         raise ValueError(f"rng is {rng!r}; give a numpy.random.Generator or a seed, so that the ensemble can be had again.")
-    chosen = np.random.default_rng(rng).integers(len(recording), size=(draws, len(recording)))
-    again = clone(model).set_params(strength=float(model.strength_))
-    return each(_member, enumerate(chosen), (again, recording), title="bootstrap", processes=processes)
+    indices = np.random.default_rng(rng).integers(len(recording), size=(draws, len(recording)))
+    unfitted = clone(model).set_params(strength=float(model.strength_))
+    return each(_member, enumerate(indices), (unfitted, recording), title="bootstrap", processes=processes)
 
 
 def prediction_band(ensemble, recording, level=0.9):
-    """Where the ensemble's predictions lie: each trajectory rolled out from its own first state under its own inputs.
+    """The band of the ensemble's predictions: each trajectory rolled out from its first state under its inputs.
 
-    The band is that of the prediction, as far as it is uncertain because the data were few or noisy. Noise of a measurement comes on top, and what the
-    dictionary cannot express at all is not in it.
+    It shows how uncertain the prediction is because the data were few or noisy. It contains neither the noise of a
+    measurement nor the error of what the dictionary cannot express.
 
     Parameters
     ----------
@@ -75,32 +76,33 @@ def prediction_band(ensemble, recording, level=0.9):
         From `bootstrap`.
     recording : Recording or sequence of them
     level : float
-        Share of the members inside, at each instant and for each state by itself.
+        The share of members inside, at each instant and for each state by itself.
 
     Returns
     -------
     lower, median, upper : (trajectories, samples, n) ndarray
-        Or lists of (samples_i, n) when lengths differ. A member that ran away lies beyond all others: infinitely far, to both sides in turn.
+        Or lists of (samples_i, n) when lengths differ. Members that diverge lie infinitely far away, above and below in
+        turn.
 
     Raises
     ------
     ValueError
-        If the ensemble is empty or the level no fraction between 0 and 1.
+        If the ensemble is empty, or the level is not a fraction between 0 and 1.
     """
     if not ensemble:
         raise ValueError("ensemble is empty; make one with tras.bootstrap(model, recording).")
     if isinstance(level, bool) or not (isinstance(level, (int, float)) and 0 < level < 1):
         raise ValueError(f"level is {level!r}; give a fraction between 0 and 1, for example 0.9.")
     recording = join(recording)
-    with np.errstate(over="ignore", invalid="ignore"):  # what runs away is put at infinity below
+    with np.errstate(over="ignore", invalid="ignore"):  # divergence is put at infinity below
         runs = [model.predict(recording) for model in ensemble]
     lost = [metrics.diverged(recording.states, run) for run in runs]
     bands = []
     for i in range(len(recording)):
         values = np.stack([run[i] for run in runs])
-        for k, side in zip(np.flatnonzero([each[i] for each in lost]), np.resize([-np.inf, np.inf], len(runs))):
+        for k, side in zip(np.flatnonzero([errors_of_one[i] for each in lost]), np.resize([-np.inf, np.inf], len(runs))):
             values[k, ~np.isfinite(values[k])] = side
-        # By order: infinite members must not spoil an interpolation between finite ones.
+        # By order statistics: an interpolation would mix infinite members with finite ones.
         bands.append(np.quantile(values, [(1 - level) / 2, 0.5, (1 + level) / 2], axis=0, method="inverted_cdf"))
     parts = list(zip(*bands))
     alike = len(set(recording.lengths)) == 1

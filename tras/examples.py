@@ -2,8 +2,8 @@
 
     python -m tras.examples duffing build/example/duffing.csv
 
-The systems are integrated exactly enough that what a model misses is the model's; then the sensors are made as real ones are, with noise and
-steps of an encoder.
+The systems are integrated so exactly that all errors are the model's. Their sensors then have noise and the steps of an
+encoder, as real ones do.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from tras.excitation import multisine
 from tras.files import replacing
 from tras.recording import Recording
 
-_SUBSTEPS = 20  # of a sample: rounding errors are all that is left
+_SUBSTEPS = 20  # per sample: only rounding errors are left
 
 
 def duffing(point):
@@ -27,7 +27,7 @@ def duffing(point):
 
 
 def cart_pole(point):
-    """A pole that hangs from a cart on a spring; rows s (m), s' (m/s), theta (rad, 0 hanging), theta' (rad/s), force (N).
+    """A pole hanging from a cart on a spring; rows s (m), s' (m/s), theta (rad, 0 hanging), theta' (rad/s), force (N).
 
     Cart 1 kg with 0.8 N s/m and 4 N/m, pole 0.3 kg at 0.5 m with 0.02 N m s/rad, gravity 9.81 m/s^2.
     """
@@ -39,39 +39,33 @@ def cart_pole(point):
     return np.stack([v, acceleration, omega, (turned - acceleration * cosine) / 0.5])
 
 
-# Vector field, channels with units (states, then the input), sampling time (s), highest frequency (rad/s) and peak of the input, noise of each state.
+# Vector field, units of states and input, sampling time (s), highest frequency (rad/s) and peak of the input, noise.
 SYSTEMS = {
     "duffing": (duffing, {"q": "m", "qdot": "m/s"}, {"force": "N"}, 0.05, 3.0, 2.5, (0.001, 0.004)),
-    "cart_pole": (
-        cart_pole,
-        {"position": "m", "velocity": "m/s", "theta": "rad", "thetadot": "rad/s"},
-        {"force": "N"},
-        0.02,
-        6.0,
-        5.0,
-        (0.001, 0.01, 0.002, 0.02),
-    ),
+    "cart_pole": (cart_pole, {"position": "m", "velocity": "m/s", "theta": "rad", "thetadot": "rad/s"}, {"force": "N"},
+        0.02, 6.0, 5.0, (0.001, 0.01, 0.002, 0.02)),
 }
 
 
 def example(name, trials=8, duration=25.0, *, seed=0, noise=1.0):
-    """A recording of one of `SYSTEMS` under multisines, started at rest, its states as sensors see them.
+    """A recording of one of `SYSTEMS` under multisines, from rest, its states as sensors see them.
 
     Parameters
     ----------
     name : {"duffing", "cart_pole"}
     trials : int
-        Each with another multisine.
+        Each has its own multisine.
     duration : float
         Of a trial, in s.
     seed : int
     noise : float
-        Factor on the sensors' noise, 0 for exact states. With noise the first state also has the steps of an encoder, half of its noise.
+        Factor of the sensors' noise, 0 for exact states. With noise the first state also has an encoder's steps, half
+        its noise.
 
     Raises
     ------
     ValueError
-        If there is no such system, or the duration is no whole number of samples.
+        If there is no such system, or the duration is not a whole number of samples.
 
     Examples
     --------
@@ -94,7 +88,7 @@ def example(name, trials=8, duration=25.0, *, seed=0, noise=1.0):
 
 
 def write_log(recording, path):
-    """The recording as a logger's CSV: a row of names with units in brackets, a column that counts the trials, six digits."""
+    """Write a CSV as a logger would: names with units in brackets, a column that counts the trials, six digits."""
     units = dict(zip((*recording.state_names, *recording.input_names), (*recording.state_units, *recording.input_units)), time="s")
     table = recording.to_frame().rename(columns={"trajectory": "trial"})
     table = table.rename(columns={name: f"{name} [{unit}]" for name, unit in units.items() if unit})

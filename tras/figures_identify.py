@@ -1,35 +1,35 @@
-"""Figures of an identification, for any channels: tables in, `Figure` out."""
+"""Figures of an identification, for any channels: each takes a table and returns a `Figure`."""
 
 import numpy as np
 
 from tras.figures import LINEAR, MODEL, TRUTH, new_figure, require, styled
 from tras.identify_scores import CONSTANT, HELD
 
-MOST = 6  # panels; more channels are in the tables only
+MOST = 6  # panels; other channels are in the tables only
 _BAND = {"color": "#0072B2", "alpha": 0.25, "linewidth": 0}
-_POINTS = 1500  # of a curve
+_POINTS = 1500  # of a curve, about
 
 
-def _labelled(names, units):
+def _with_units(names, units):
     return [f"{name} ({unit})" if unit else name for name, unit in zip(names, units)]
 
 
 @styled()
 def data_figure(table, names, units):
-    """The recording: every channel over time, trajectories one behind the other, their beginnings marked.
+    """The recording: every channel over time, trajectories one after the other, their beginnings marked.
 
     Parameters
     ----------
     table : pandas.DataFrame
-        ``trajectory, time`` (s, from the recording's beginning) and a column a channel.
+        ``trajectory, time`` (s, from the recording's beginning) and one column per channel.
     names, units : list of str
         Channels to show, at most six of them.
     """
     require(table, "table", ["trajectory", "time", *names])
-    shown = names[:MOST]
-    figure, axes = new_figure(height=0.75 * len(shown) + 0.55, rows=len(shown), squeeze=False)
+    names, units = names[:MOST], units[:MOST]
+    figure, axes = new_figure(height=0.75 * len(names) + 0.55, rows=len(names), squeeze=False)
     begins = table["time"][table["trajectory"].diff() > 0]
-    for panel, name, label in zip(axes[:, 0], shown, _labelled(names, units)):
+    for panel, name, label in zip(axes[:, 0], names, _with_units(names, units)):
         panel.plot(table["time"], table[name], color="black", linestyle="-", linewidth=0.6)
         panel.set_title(label, fontsize=8, pad=2)
         for time in begins if len(begins) <= 40 else ():
@@ -45,7 +45,7 @@ def spectra_figure(table, states, inputs):
     Parameters
     ----------
     table : pandas.DataFrame
-        ``frequency`` (Hz) and a column a channel.
+        ``frequency`` (Hz) and one column per channel.
     states, inputs : list of str
     """
     require(table, "table", ["frequency", *states, *inputs])
@@ -65,7 +65,7 @@ def spectra_figure(table, states, inputs):
 
 @styled()
 def prediction_figure(table, states, units):
-    """Truth, model and linear model over two test windows, with the band of the bootstrap.
+    """The measured states, the model and the linear model over two test windows, with the band of the bootstrap.
 
     Parameters
     ----------
@@ -75,9 +75,9 @@ def prediction_figure(table, states, units):
         At most six states are shown.
     """
     require(table, "table", ["window", "time", *(f"{state}: {kind}" for state in states for kind in ("true", "model", "linear model", "lower", "upper"))])
-    shown, windows = states[:MOST], list(dict.fromkeys(table["window"]))
-    figure, axes = new_figure(height=1.0 * len(shown) + 0.75, rows=len(shown), columns=len(windows), sharey="row", sharex="col", squeeze=False)
-    for row, state, label in zip(axes, shown, _labelled(states, units)):
+    states, windows = states[:MOST], list(dict.fromkeys(table["window"]))
+    figure, axes = new_figure(height=1.0 * len(states) + 0.75, rows=len(states), columns=len(windows), sharey="row", sharex="col", squeeze=False)
+    for row, state, label in zip(axes, states, _with_units(states, units)):
         for panel, name in zip(row, windows):
             part = table[table["window"] == name]
             true, low, high = part[f"{state}: true"], part[f"{state}: lower"], part[f"{state}: upper"]
@@ -105,7 +105,7 @@ def growth_figure(table):
     Parameters
     ----------
     table : pandas.DataFrame
-        ``time`` (s) and a column a prediction, in percent of the range.
+        ``time`` (s) and one column per prediction, in percent of the range.
     """
     require(table, "table", ["time"])
     figure, panel = new_figure(height=2.3)
@@ -143,8 +143,8 @@ def eigenvalue_figure(table):
     reach = 1.15 * max(1.0, table[["real", "imag"]].abs().to_numpy().max())
     whole.set(ylabel="imaginary part", xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
     distance = np.hypot(table["real"] - 1, table["imag"]).to_numpy()
-    moved = distance[distance > 1e-6]
-    zoom = float(np.clip(1.3 * np.quantile(moved, 0.5), 1e-4, 1.0)) if len(moved) else 0.1
+    distance = distance[distance > 1e-6]
+    zoom = float(np.clip(1.3 * np.quantile(distance, 0.5), 1e-4, 1.0)) if len(distance) else 0.1
     near.set(xlim=(1 - zoom, 1 + zoom), ylim=(-zoom, zoom), aspect="equal")
     whole.set_title("all", fontsize=8, pad=3)
     near.set_title("near one", fontsize=8, pad=3)

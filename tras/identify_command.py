@@ -1,10 +1,11 @@
-"""A recording in, a model out: ``make identify RECORDING=path``.
+"""From a recording to a model: ``make identify RECORDING=path``.
 
-    python -m tras.identify_command log.csv [--out FOLDER] [--roles roles.yaml] [--predictor one_step] [--delays 0 2 4] ...
+    python -m tras.identify_command log.csv [--out FOLDER] [--roles roles.yaml] [--predictor one_step] [--delays 0 2 4]
+    ...
 
-Runs ``notebooks/identify.ipynb`` on it. What comes out lies in ``build/identify/NAME``, NAME being the recording's name: ``report.html``, the executed
-notebook, the model, its exports, tables and figures. A recording that cannot be used is one sentence and exit status 2; the folder is then
-as it was before.
+Runs ``notebooks/identify.ipynb`` on the recording and writes to ``build/identify/NAME``, NAME being the recording's
+name: ``report.html``, the executed notebook, the model, its exports, tables and figures. If the recording cannot be
+used, it prints one sentence, exits with status 2 and leaves the folder as it was.
 """
 
 import argparse
@@ -18,13 +19,13 @@ from tras.files import project_root
 from tras.parameters import ParameterError, check_parameters, notebook_defaults
 from tras.runner import Interrupted, RunError, interruptible, run_notebook
 
-# Errors that are a sentence about what was given, not a fault of the program.
+# Errors that are a sentence about the recording or the call, not a fault of the program.
 _SENTENCES = ("RecordingError", "ValueError", "LogarithmError", "FileNotFoundError")
 _SUFFIXES = (".nc", ".csv", ".parquet", ".mat")
 
 
 def main(arguments=None):
-    """Command line; returns the exit code: 0, 1 (the run failed), 2 (the recording or the call is wrong), 130 or 143 (interrupted)."""
+    """Command line; returns 0, 1 (the run failed), 2 (the recording or the call is wrong), 130 or 143 (interrupted)."""
     options = _parser().parse_args(arguments)
     root = project_root(Path(__file__).parent)
     out = options.out or root / "build" / "identify" / options.recording.stem
@@ -45,18 +46,18 @@ def main(arguments=None):
     except Interrupted as interrupt:
         print("identify was interrupted; no results were written.", file=sys.stderr)
         return 128 + interrupt.args[0]
-    print(f"{_shown(out)}/report.html  {seconds:.0f} s")
+    print(f"{_relative(out)}/report.html  {seconds:.0f} s")
     return 0
 
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message):
-        """One sentence instead of the whole usage."""
+        """Print one sentence instead of the whole usage."""
         self.exit(2, f"{message}; see python -m tras.identify_command --help.\n")
 
 
 def _hint(words):
-    """How to say with make what the sentence asks for."""
+    """The variables of make that the sentence asks for."""
     if "resample=" in words:
         return " With make: RESAMPLE=, for example RESAMPLE=0.01."
     if "given as roles" in words:
@@ -102,7 +103,7 @@ def _numbers(text):
 
 
 def _parameters(options, out, root):
-    """The notebook's parameters; what is wrong at first sight is said before a kernel starts."""
+    """The notebook's parameters; obvious mistakes are reported before a kernel starts."""
     for path, what in ((options.recording, "RECORDING"), (options.roles, "ROLES")):
         if path is not None and not path.is_file():
             raise ParameterError(f"{what}: {path} {'is a folder' if path.is_dir() else 'does not exist'}; give the path of a file.")
@@ -110,21 +111,21 @@ def _parameters(options, out, root):
         raise ParameterError(f"RECORDING: {options.recording} ends in {options.recording.suffix!r}; recordings are .csv, .parquet, .mat or .nc files.")
     if out.exists() and not out.is_dir():
         raise ParameterError(f"OUT: {out} is a file; give a folder.")
-    given = {
+    parameters = {
         "recording": _inside(options.recording, root), "out_dir": _inside(out, root), "roles": _inside(options.roles, root) if options.roles else "",
         **{name: getattr(options, name) for name in ("states", "inputs", "time", "trial", "dt", "resample", "predictor", "delays", "smoothing", "draws")},
     }  # fmt: skip
-    return check_parameters(given, notebook_defaults(root / "notebooks" / "identify.ipynb"), "the command line")
+    return check_parameters(parameters, notebook_defaults(root / "notebooks" / "identify.ipynb"), "the command line")
 
 
 def _inside(path, root):
-    """The path from the project's folder if it lies in there, else the whole of it."""
+    """The path relative to the project's folder if it lies inside, else the absolute one."""
     path = path.resolve()
     return path.relative_to(root).as_posix() if path.is_relative_to(root) else str(path)
 
 
 def _run(notebook, out, parameters):
-    """Run beside the folder, and move the executed notebook in as the last act."""
+    """Run the notebook in a folder beside ``out``, and move the executed notebook into ``out`` at the very end."""
     out.parent.mkdir(parents=True, exist_ok=True)
     aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.run.", dir=out.parent))
     try:
@@ -133,18 +134,18 @@ def _run(notebook, out, parameters):
             os.replace(aside / name, out / name)
     except RunError as error:
         failed = aside / "identify.failed.ipynb"
-        if failed.exists() and error.name not in _SENTENCES:  # a fault of ours: keep what shows it
-            kept = out.parent / f"{out.name}.failed.ipynb"
-            os.replace(failed, kept)
-            error.args = (str(error).replace(str(failed), str(kept)),)
+        if failed.exists() and error.name not in _SENTENCES:  # a fault of the program: leave the notebook that shows it
+            report = out.parent / f"{out.name}.failed.ipynb"
+            os.replace(failed, report)
+            error.args = (str(error).replace(str(failed), str(report)),)
         raise
     finally:
         shutil.rmtree(aside, ignore_errors=True)
     return seconds
 
 
-def _shown(path):
-    """As short as it can be said from the working folder."""
+def _relative(path):
+    """The path relative to the working folder if it lies inside."""
     path = path.resolve()
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 

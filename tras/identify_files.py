@@ -1,4 +1,4 @@
-"""The folder of an identification: report, model, exports, figures and tables, all of them or none."""
+"""The folder of an identification: report, model, exports, figures and tables, written together or not at all."""
 
 import os
 import shutil
@@ -20,13 +20,13 @@ from tras.recording import Recording
 
 LISTING = "contents.csv"
 _CURVE = 3000  # samples of the recording that the figure shows
-_SHOWN = 300  # functions up to which formulas are written
+_READABLE = 300  # functions; of more no formulas are written
 
 
 def open_log(path="", *, roles=None, states=None, inputs=None, time="", trial="", dt=None, resample=None):
-    """A recording as `Recording.read` reads it, roles by name or by a YAML file; without a path the example of `tras.examples`.
+    """Read a recording, its roles by name or by a YAML file; without a path take the example of `tras.examples`.
 
-    A .nc knows its roles: ``states`` and ``inputs`` then choose among them.
+    A .nc file knows its roles: ``states`` and ``inputs`` then choose among them.
 
     Raises
     ------
@@ -37,30 +37,30 @@ def open_log(path="", *, roles=None, states=None, inputs=None, time="", trial=""
         return example("duffing")
     if Path(path).suffix == ".nc":
         return Recording.read(path, roles or None, dt=dt or None, resample=resample or None).select(states=states or None, inputs=inputs or None)
-    given = {"states": states, "inputs": inputs, "time": time, "trial": trial}
-    given = {key: value for key, value in given.items() if value}
-    if roles and given:
-        raise ValueError(f"roles are given by {roles} and by name ({', '.join(given)}); give them in one way.")
-    return Recording.read(path, roles or given or None, dt=dt or None, resample=resample or None)
+    by_name = {"states": states, "inputs": inputs, "time": time, "trial": trial}
+    by_name = {role: columns for role, columns in by_name.items() if columns}
+    if roles and by_name:
+        raise ValueError(f"roles are given by {roles} and by name ({', '.join(by_name)}); give them in one way.")
+    return Recording.read(path, roles or by_name or None, dt=dt or None, resample=resample or None)
 
 
-def write(found, log, name, folder):
-    """Write everything that an identification has found.
+def write(identification, log, name, folder):
+    """Write the whole folder of an identification, or nothing.
 
     Parameters
     ----------
-    found : tras.identification.Identification
+    identification : tras.identification.Identification
     log : Recording
         As read.
     name : str
         Of the recording, for titles.
     folder : str or Path
-        Files of an earlier run there are replaced, those that are no longer made removed; others are left alone.
+        Files of an earlier run in it are replaced, and removed if they are no longer made; other files stay.
 
     Returns
     -------
     pandas.DataFrame
-        ``file`` and ``what`` it is.
+        One row per file: ``file`` and ``what`` it is.
 
     Raises
     ------
@@ -71,105 +71,101 @@ def write(found, log, name, folder):
     folder.parent.mkdir(parents=True, exist_ok=True)
     stage = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
     try:
-        listed = _all(found, log, name, stage)
+        contents = _write_all(identification, log, name, stage)
         _move(stage, folder)
     finally:
         shutil.rmtree(stage, ignore_errors=True)
-    return listed
+    return contents
 
 
-def _all(found, log, name, stage):
+def _write_all(identification, log, name, stage):
+    """Write everything into an empty folder; the table of what it holds."""
     (stage / "tables").mkdir()
     (stage / "figures").mkdir()
-    pictures = _figures(found, stage / "figures")
-    for table, key in _tables(found):
+    pictures = _figures(identification, stage / "figures")
+    tables = _tables(identification)
+    for key, (_, table) in tables.items():
         table.to_csv(stage / "tables" / f"{key}.csv", index=key == "correlation", float_format="%.10g", lineterminator="\n")
-    found.model.save(stage / "model.npz")
-    exports, failures = _exports(found, stage)
-    listed = [
+    identification.model.save(stage / "model.npz")
+    exports, failures = _exports(identification, stage)
+    contents = [
         ("report.html", "this page"), ("identify.ipynb", "the notebook that made it all, executed"), ("model.npz", "the model, for tras.load_model"), *exports,
-        *((f"tables/{key}.csv", what) for key, what in _TABLES.items()), ("figures/", "every figure as PDF, SVG and PNG, and its numbers as CSV"),
+        *((f"tables/{key}.csv", what) for key, (what, _) in tables.items()), ("figures/", "every figure as PDF, SVG and PNG, and its numbers as CSV"),
     ]  # fmt: skip
     text = stage / "export" / "formulas.txt"
     equations = text.read_text(encoding="utf-8") if text.exists() else ""
-    (stage / "report.html").write_text(write_page(found, log, name, pictures, listed, failures, equations), encoding="utf-8")
-    listed = pd.DataFrame(listed, columns=["file", "what"])
+    html = write_page(identification, log, name, pictures, contents, failures, equations)
+    (stage / "report.html").write_text(html, encoding="utf-8")
     files = sorted(path.relative_to(stage).as_posix() for path in stage.rglob("*") if path.is_file())
     pd.DataFrame({"file": [*files, LISTING]}).to_csv(stage / LISTING, index=False, lineterminator="\n")
-    return listed
+    return pd.DataFrame(contents, columns=["file", "what"])
 
 
-_TABLES = {
-    "channels": "ranges, limits, steps and noise of every channel",
-    "correlation": "correlation between inputs",
-    "spectra": "spectra of every channel",
-    "search": "every candidate with its error",
-    "metrics": "the test",
-    "growth": "error against time ahead",
-    "predictions": "measured and predicted states over two test windows, with the band",
-    "eigenvalues": "of the Koopman matrices",
-    "advice": "the warnings of this page",
-}
+def _tables(identification):
+    """Table -> (what it holds, the table)."""
+    checks = identification.checks
+    advice = pd.DataFrame(identification.advice, columns=["weight", "about", "text"])
+    return {
+        "channels": ("ranges, limits, steps and noise of every channel", checks.channels),
+        "correlation": ("correlation between inputs", checks.correlation),
+        "spectra": ("spectra of every channel", checks.spectrum),
+        "search": ("every candidate with its error", identification.search.drop(columns=["model"])),
+        "metrics": ("the test", identification.metrics),
+        "growth": ("error against time ahead", identification.growth),
+        "predictions": ("measured and predicted states over two test windows, with the band", identification.overlay),
+        "eigenvalues": ("of the Koopman matrices", identification.eigenvalues),
+        "advice": ("the warnings of this page", advice),
+    }
 
 
-def _tables(found):
-    yield found.checks.channels, "channels"
-    yield found.checks.correlation, "correlation"
-    yield found.checks.spectrum, "spectra"
-    yield found.search.drop(columns=["model"]), "search"
-    yield found.metrics, "metrics"
-    yield found.growth, "growth"
-    yield found.overlay, "predictions"
-    yield found.eigenvalues, "eigenvalues"
-    yield pd.DataFrame(found.advice, columns=["weight", "about", "text"]), "advice"
-
-
-def _figures(found, folder):
-    """Key -> the picture of it that a page shows best."""
-    used, model = found.recording, found.model
-    states = max(figures_identify.MOST // 2, figures_identify.MOST - used.m)  # so that inputs are seen too
-    names, units = ([*of_states[:states], *of_inputs] for of_states, of_inputs in ((used.state_names, used.input_names), (used.state_units, used.input_units)))
-    drawn = {"data": (figures_identify.data_figure, (_curves(used), names, units))}
-    if len(found.checks.spectrum):
-        drawn["spectra"] = (figures_identify.spectra_figure, (found.checks.spectrum, list(used.state_names), list(used.input_names)))
-    drawn |= {
-        "predictions": (figures_identify.prediction_figure, (found.overlay, list(model.state_names_), list(model.state_units_))),
-        "growth": (figures_identify.growth_figure, (found.growth,)),
-        "spectrum": (figures_identify.eigenvalue_figure, (found.eigenvalues,)),
+def _figures(identification, folder):
+    """Draw and save every figure: its name -> its picture for the page."""
+    recording, model = identification.recording, identification.model
+    states = max(figures_identify.MOST // 2, figures_identify.MOST - recording.m)  # leaves room for inputs
+    names = [*recording.state_names[:states], *recording.input_names]
+    units = [*recording.state_units[:states], *recording.input_units]
+    spectra, predictions = identification.checks.spectrum, identification.overlay
+    drawings = {"data": (figures_identify.data_figure, (_curves(recording), names, units))}
+    if len(spectra):
+        drawings["spectra"] = (figures_identify.spectra_figure, (spectra, list(recording.state_names), list(recording.input_names)))
+    drawings |= {
+        "predictions": (figures_identify.prediction_figure, (predictions, list(model.state_names_), list(model.state_units_))),
+        "growth": (figures_identify.growth_figure, (identification.growth,)),
+        "spectrum": (figures_identify.eigenvalue_figure, (identification.eigenvalues,)),
     }
     pictures = {}
-    for key, (draw, arguments) in drawn.items():
+    for key, (draw, arguments) in drawings.items():
         save_figure(draw(*arguments), arguments[0], folder / key)
         pictures[key] = page.picture(folder, key)
     return pictures
 
 
 def _curves(recording):
-    """The recording as one table: ``trajectory, time`` from its beginning, channels; every so many samples if it is long."""
+    """The recording as one table: ``trajectory``, ``time`` from its beginning, channels; about `_CURVE` rows at most."""
     table = recording.to_frame()
     starts = np.concatenate([[0.0], np.cumsum(recording.lengths[:-1] * recording.dt)])
     table["time"] += np.repeat(starts, recording.lengths)
     return table.iloc[:: max(1, len(table) // _CURVE)].reset_index(drop=True)
 
 
-def _exports(found, stage):
-    """(file, what it is) of each export, and a sentence for each that could not be made."""
-    folder, model = stage / "export", found.model
+def _exports(identification, stage):
+    """Write the exports: (file, what it is) of each, and one sentence for each that could not be made."""
+    folder, model = stage / "export", identification.model
     folder.mkdir()
-    name, done, failures = identifier("model"), [], []
+    name, exports, failures = identifier("model"), [], []
 
     def attempt(what, export):
         try:
-            done.extend((path.relative_to(stage).as_posix(), what) for path in export())
+            exports.extend((path.relative_to(stage).as_posix(), what) for path in export())
         except (ValueError, NotImplementedError) as error:
             failures.append(f"{what}: {error}")
 
     def text_and_latex():
-        if len(model.names_) > _SHOWN:
+        if len(model.names_) > _READABLE:
             raise ValueError(f"{len(model.names_)} functions are too many to read; tras.export.formulas(model) writes them all the same.")
         paths = [folder / "formulas.txt", folder / "formulas.tex"]
         for path, latex in zip(paths, (False, True)):
-            path.write_text(formulas(model, found.train, tolerance=0.01, latex=latex) + "\n", encoding="utf-8")
+            path.write_text(formulas(model, identification.train, tolerance=0.01, latex=latex) + "\n", encoding="utf-8")
         return paths
 
     def state_space():
@@ -184,11 +180,11 @@ def _exports(found, stage):
         attempt("matrices A, B, C, D for python-control: tras.export.to_statespace(model)", state_space)
     else:
         attempt("formulas, as text and as LaTeX; terms that change a row by less than 1 % are left out", text_and_latex)
-    return done, failures
+    return exports, failures
 
 
 def _move(stage, folder):
-    """Everything of ``stage`` into ``folder``; what an earlier run listed there and this one does not make goes."""
+    """Move all files of ``stage`` into ``folder``, and remove those that only an earlier run has listed there."""
     new = {path.relative_to(stage) for path in stage.rglob("*") if path.is_file()}
     if not folder.exists():
         stage.chmod(0o777 & ~_umask())  # mkdtemp is private; a result is not
@@ -204,7 +200,7 @@ def _move(stage, folder):
 
 
 def _listed(folder):
-    """What an earlier run says that it has written; nothing outside the folder, whatever stands there."""
+    """The files that an earlier run has listed, but none outside the folder."""
     try:
         names = pd.read_csv(folder / LISTING)["file"].astype(str)
     except (OSError, ValueError, KeyError):

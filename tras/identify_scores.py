@@ -1,13 +1,13 @@
-"""How well models predict trajectories that nothing was chosen or fitted by, for any states, beside predictions that cost nothing."""
+"""How well models predict trajectories by which nothing was chosen or fitted, beside two trivial predictions."""
 
 import numpy as np
 import pandas as pd
 
 from tras import metrics
-from tras.identify_search import rolled
+from tras.search import roll_outs
 
 CONSTANT, HELD = "mean of the training data", "stays where it is"
-_ONE_STEP = 20_000  # predictions over one sample that are made, at most
+_ONE_STEP = 20_000  # predictions over one sample, at most
 
 
 def compare(models, truth, train, latest):
@@ -27,14 +27,14 @@ def compare(models, truth, train, latest):
     Returns
     -------
     table : pandas.DataFrame
-        ``state, prediction, one_step`` (NRMSE over one sample, %), ``nrmse`` (%), ``bfr`` (%), ``enr`` (fraction), ``windows, diverged``. Windows that
-        diverged are left out of the metrics; NaN where a state does not move.
+        ``state, prediction, one_step`` (NRMSE over one sample, %), ``nrmse`` (%), ``bfr`` (%), ``enr`` (fraction),
+        ``windows, diverged``. Windows that diverged are left out of the metrics; NaN where a state does not move.
     runs : dict of str to list of (samples_i, n)
         The predictions.
     """
     true = [x[latest:] for x, _ in truth]
     mean = np.concatenate([x for x, _ in train]).mean(axis=0)
-    runs = {name: rolled(model, starts, latest) for name, (model, starts) in models.items()}
+    runs = {name: roll_outs(model, starts, latest) for name, (model, starts) in models.items()}
     runs |= {HELD: [np.repeat(x[:1], len(x), axis=0) for x in true], CONSTANT: [np.repeat(mean[None], len(x), axis=0) for x in true]}
     single = {name: _one_step(model, starts, truth) for name, (model, starts) in models.items()}
     span = np.ptp(np.concatenate(true), axis=0)
@@ -51,9 +51,9 @@ def compare(models, truth, train, latest):
 
 
 def growth(runs, truth, latest):
-    """Root mean square error against the time ahead, over all states in percent of their ranges: ``time`` (s), then a column a prediction.
+    """Root mean square error against the time ahead: ``time`` (s), then one column per prediction.
 
-    Over the windows of full length that did not diverge.
+    Over all states in percent of their ranges, and over the windows of full length that did not diverge.
     """
     true = [x[latest:] for x, _ in truth]
     longest = max(map(len, true))
@@ -68,7 +68,7 @@ def growth(runs, truth, latest):
 
 
 def typical_and_worst(run, truth, latest):
-    """Indices of two windows of full length: the one with the median error, and the one with the largest, diverged ones included."""
+    """Indices of the windows of full length with the median and with the largest error, diverged ones included."""
     true = [x[latest:] for x, _ in truth]
     longest = max(map(len, true))
     full = [k for k, x in enumerate(true) if len(x) == longest]
@@ -80,7 +80,7 @@ def typical_and_worst(run, truth, latest):
 
 
 def _one_step(model, starts, truth):
-    """NRMSE (%) over one sample, started again and again."""
+    """NRMSE (%) of predictions over one sample."""
     count = model.delays + 2
     cut = [(s[k : k + count], u[k : k + count], x[k + count - 1]) for (s, u), (x, _) in zip(starts, truth) for k in range(0, len(s) - count + 1, count - 1)]
     cut = cut[:: max(1, len(cut) // _ONE_STEP)]

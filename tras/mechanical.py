@@ -45,6 +45,10 @@ class Mechanical(Dictionary):
         self.velocities = velocities
         self.shape = shape
 
+    def words(self, channels):
+        shape = ", ".join(channels[i] if i < len(channels) else str(i) for i in self.shape or [0])
+        return f"mechanical, degree {self.degree} in {shape}"
+
     def _build(self):
         check_count("degree", self.degree)
         positions, velocities, shape = self._roles()

@@ -1,8 +1,9 @@
-"""Measurement noise: add it and measure it (paper, sigma_k in (12)).
+"""Add measurement noise, and measure it (paper, sigma_k in (12)).
 
-Noise on the states biases extended dynamic mode decomposition: it stands on both sides of every snapshot pair, and functions of a
-noisy state are wrong on the average too. Two remedies, one after the other: `tras.smooth` takes most of the noise out of the trajectories
-before they are lifted; `tras.refine` then fits whole trajectories, as measured, instead of single steps.
+Noise on the states biases extended dynamic mode decomposition: it enters both sides of every snapshot pair, and
+functions of a noisy state are wrong on average too. Two remedies, one after the other: `tras.smooth` takes most of the
+noise out of the trajectories before they are lifted; `tras.refine` then fits whole trajectories, as measured, instead
+of single steps.
 """
 
 import numpy as np
@@ -13,7 +14,7 @@ from tras.recording import join
 def add_noise(recording, level, rng):
     """The recording with white Gaussian noise on its states, sigma_k of equation (12); inputs stay exact.
 
-    Add it before `Recording.cut`, so that a sample which two pieces share has one value.
+    Add it before `Recording.cut`, so that a sample that two pieces share has one value.
 
     Parameters
     ----------
@@ -30,7 +31,8 @@ def add_noise(recording, level, rng):
     Raises
     ------
     ValueError
-        If ``level`` is negative, not finite, or neither one number nor one a state, or ``rng`` is neither generator nor seed.
+        If ``level`` is negative, not finite, or neither one number nor one per state, or ``rng`` is neither a generator
+        nor a seed.
     """
     recording = join(recording)
     fraction = np.asarray(level, dtype=float)
@@ -46,9 +48,9 @@ def add_noise(recording, level, rng):
 def noise_level(recording):
     """Standard deviation of the noise on each state, (n,), in the states' own units, from third differences.
 
-    ``x_(k+3) - 3 x_(k+2) + 3 x_(k+1) - x_k`` removes a smooth signal and leaves of white noise 20 times its variance (J. Rice, Ann.
-    Statist. 12, 1984, p. 1215; P. Hall, J. W. Kay, D. M. Titterington, Biometrika 77, 1990, p. 521). What moves within four samples
-    is counted as noise: the sampling must be fine against the motion.
+    ``x_(k+3) - 3 x_(k+2) + 3 x_(k+1) - x_k`` removes a smooth signal and leaves 20 times the variance of white noise
+    (J. Rice, Ann. Statist. 12, 1984, p. 1215; P. Hall, J. W. Kay, D. M. Titterington, Biometrika 77, 1990, p. 521).
+    What moves within four samples counts as noise: the sampling must be fine compared with the motion.
 
     Raises
     ------

@@ -91,6 +91,9 @@ class GaussianRBF(Radial):
 
     _word = "gauss"
 
+    def words(self, channels):
+        return f"{self.n_centres} Gaussians"
+
     def _fill(self, psi, z):
         tail = psi[1 + len(z) :]
         np.exp(self._minus_squares(z, tail), out=tail)

@@ -1,4 +1,4 @@
-"""An identified vector field fitted to whole measured trajectories: multiple shooting, for data with noise."""
+"""Fit an identified vector field to whole measured trajectories: multiple shooting, for data with noise."""
 
 import copy
 import itertools
@@ -9,45 +9,51 @@ from tqdm import tqdm
 
 from tras.noise import noise_level
 
-_SEGMENTS = (1001, 501, 251, 126, 63)  # samples that `refine` follows in one piece: the first that it can
-_TRUST = 1e-3  # in half-ranges: states that are known better count as if they were not, or they would outweigh all others
-_BLOCK = 128  # segments followed at once: bounds the memory of their sensitivities
+_SEGMENTS = (1001, 501, 251, 126, 63)  # samples of a segment, the first of these over which predictions hold
+_TRUST = 1e-3  # noise in half-ranges, at least: a state that is known better would outweigh all others
+_BLOCK = 128  # segments that are followed at once: bounds the memory of their sensitivities
 
 
 def refine(model, recording, rows=None, iterations=6, segment=None):
     """A copy of the model whose vector field is fitted to whole trajectories instead of single steps.
 
-    The recording is cut into segments; the field's coefficients W and the initial state of each segment are fitted together, so that
-    predictions pass through the measured states, each weighted by its noise (`noise_level`): multiple shooting (H. G. Bock, in *Modelling
-    of Chemical Reaction Systems*, Springer 1981, p. 102), here without the conditions that tie a segment's end to the next one's start.
-    Gauss-Newton steps with Levenberg's damping; one that would raise the cost is not taken.
+    The recording is cut into segments; the field's coefficients W and the initial state of each segment are fitted
+    together, so that predictions pass through the measured states, each weighted by its noise (`noise_level`): multiple
+    shooting (H. G. Bock, in *Modelling of Chemical Reaction Systems*, Springer 1981, p. 102), here without the
+    conditions that tie a segment's end to the next one's start. Gauss-Newton steps with Levenberg's damping are taken
+    as long as they lower the cost.
 
     Parameters
     ----------
     model : KoopmanModel
         Fitted, ``predictor="vector_field"``, best to the smoothed recording. It is not changed.
     recording : Recording
-        As measured, NOT smoothed: the fit averages the noise by itself. Longer trajectories tell more: do not cut them first.
+        As measured, NOT smoothed: the fit averages the noise itself. Long trajectories tell more: do not cut them
+        first.
     rows : sequence of str, optional
-        The states whose equations are refined. Default: all but kinematics, the equations whose right-hand side is another state itself (to
-        5 %, root mean square over the recording) as in ``dphi/dt = phidot``; all, if nothing else is left.
+        The states whose equations are refined. Default: all but kinematics, the equations whose right-hand side is
+        another state (to 5 %, root mean square over the recording) as in ``dphi/dt = phidot``; all, if there are only
+        such.
     iterations : int
-        Steps at most. It stops earlier when the cost falls by less than 1e-5 of itself.
+        Steps, at most. The fit ends earlier when a step lowers the cost by less than 1e-5 of it.
     segment : int, optional
-        Samples of a segment. A long one tells slow motions and small errors of F, but an unstable or chaotic system cannot be predicted far.
-        Default: whole trajectories, at most 1001, or half, a quarter, ... of it until the model's predictions are within twice the noise.
+        Samples of a segment. Long ones show slow motions and small errors of F, but an unstable or chaotic system
+        cannot be predicted far. Default: whole trajectories of at most 1001, or half, a quarter, ... of that until the
+        predictions are within twice the noise.
 
     Returns
     -------
     KoopmanModel
-        With new ``W_`` and with ``refinement_``: the root mean square distance of prediction and measurement in units of the noise (or of a
-        thousandth of the half-range, if that is more), at the start and after each step. It ends near 1 when nothing is left to
-        explain, far above when the dictionary is too small or the segments are too long. K and its spectrum are still the first fit's.
+        With new ``W_`` and with ``refinement_``: the root mean square distance of prediction and measurement in units
+        of the noise (or of a thousandth of the half-range, if that is more), at the start and after each step. It ends
+        near 1 when everything is explained, far above when the dictionary is too small or the segments are too long. K
+        and its spectrum stay those of the first fit.
 
     Raises
     ------
     ValueError
-        If the model has no vector field, a name is unknown, a count is wrong, or the model's predictions diverge within a segment.
+        If the model has no vector field, a name is unknown, a count is wrong, or the model's predictions diverge within
+        a segment.
     """
     if getattr(model, "predictor", None) != "vector_field" or not hasattr(model, "W_"):
         raise ValueError("refine needs a model with a vector field; fit KoopmanModel(..., predictor='vector_field') first.")
@@ -72,12 +78,12 @@ def refine(model, recording, rows=None, iterations=6, segment=None):
         if cost > (1 - 1e-5) * costs[-2]:
             break
     model.W_, model.refinement_ = W, np.sqrt(np.array(costs) / shooting.numbers)
-    vars(model).pop("field_disagreement_", None)  # was about the W that is replaced
+    vars(model).pop("field_disagreement_", None)  # it belongs to the old W
     return model
 
 
 def _equations(model, recording, rows):
-    """Indices of the rows of W to refine."""
+    """The indices of the rows of W to refine."""
     names = model.state_names_
     if rows is not None:
         rows = [rows] if isinstance(rows, str) else list(rows)
@@ -96,9 +102,10 @@ def _equations(model, recording, rows):
 
 
 class _Shooting:
-    """Predictions over the segments of a recording, in scaled channels, and how they depend on ``W[rows]`` and the initial states.
+    """Predictions over the segments of a recording, in scaled channels, and their sensitivities.
 
-    Segments of equal length are followed together; p = rows N is the number of coefficients.
+    These are to ``W[rows]``, p = rows N coefficients, and to the initial states. Segments of equal length are followed
+    together.
     """
 
     def __init__(self, model, recording, rows, segment):
@@ -107,14 +114,14 @@ class _Shooting:
         self.weight = model.x_scale_ / np.maximum(noise_level(recording), _TRUST * model.x_scale_)
         pieces = [(x[k : k + segment], u[k : k + segment]) for x, u in model.channels_.scaled(recording) for k in range(0, len(x) - 1, segment)]
         self.blocks = []  # [states (samples, n, segments), inputs (samples, m, segments)]
-        for _, alike in itertools.groupby(sorted(pieces, key=_length), key=_length):
-            alike = list(alike)
-            for k in range(0, len(alike), _BLOCK):
-                self.blocks.append([np.stack(part, axis=-1) for part in zip(*alike[k : k + _BLOCK])])
+        for _, group in itertools.groupby(sorted(pieces, key=_length), key=_length):
+            segments = list(group)
+            for k in range(0, len(segments), _BLOCK):
+                self.blocks.append([np.stack(part, axis=-1) for part in zip(*segments[k : k + _BLOCK])])
         self.numbers = sum(states.size for states, _ in self.blocks)
 
     def settled_starts(self, W):
-        """Initial states (n, segments) of each block: measured, then fitted to what follows, a little first, so that no noise leads astray."""
+        """Initial states (n, segments) of each block: measured, then fitted to longer and longer beginnings."""
         starts, brief = [states[0] for states, _ in self.blocks], copy.copy(self)
         brief.rows = []
         for horizon in (8, 32, 128):
@@ -123,7 +130,7 @@ class _Shooting:
         return starts
 
     def cost(self, W, starts):
-        """Sum of the squared residuals, each in units of its noise; infinite if a prediction diverges."""
+        """The sum of the squared residuals, each in units of its noise; infinite if a prediction diverges."""
         total = 0.0
         with np.errstate(over="ignore", invalid="ignore"):
             for (states, inputs), z in zip(self.blocks, starts):
@@ -159,7 +166,7 @@ class _Shooting:
         return Hww, Hwx, Hxx, gw, gx
 
     def _sample(self, W, z, u, S=None):
-        """One sample ahead: z (n, segments) and, if given, its sensitivities S (segments, n, p + n)."""
+        """One sample ahead: z (n, segments) and, unless None, its sensitivities S (segments, n, p + n)."""
         for _ in range(self.substeps):
             z, slopes = self._step(W, z, u, S is not None)
             if slopes:
@@ -169,7 +176,7 @@ class _Shooting:
         return z, S
 
     def _step(self, W, z, u, slopes):
-        """One classical Runge-Kutta step, as the model takes it, and its exact derivatives by z (segments, n, n) and W[rows] (segments, n, p)."""
+        """One Runge-Kutta step of the model, and its derivatives by z (segments, n, n) and W[rows] (segments, n, p)."""
         h, n, one = self.h, len(z), np.eye(len(z))
         psi, k, F = [], [], []
         for reach in (0, h / 2, h / 2, h):
@@ -181,7 +188,7 @@ class _Shooting:
         onward = z + h / 6 * (k[0] + 2 * (k[1] + k[2]) + k[3])
         if not slopes:
             return onward, None
-        # M_i = d onward / d k_i, last stage first: k_i acts by its own weight and through the stage after it.
+        # M_i = d onward / d k_i, last stage first: k_i acts by its weight and through the stage after it.
         M4 = np.broadcast_to(h / 6 * one, F[0].shape)
         M3 = h / 3 * one + h * M4 @ F[3]
         M2 = h / 3 * one + h / 2 * M3 @ F[2]
@@ -196,7 +203,7 @@ def _length(piece):
 
 
 def _descend(shooting, W, starts, cost, damping):
-    """One step, damped until the cost falls: new W, initial states, cost and damping; the old ones if none helps."""
+    """One step, damped until the cost falls: the new W, initial states, cost and damping, or the old ones."""
     blocks = shooting.linearise(W, starts)
     while damping < 1e8:
         try:
@@ -215,9 +222,10 @@ def _descend(shooting, W, starts, cost, damping):
 
 
 def _solve(blocks, damping):
-    """Solve the normal equations, their diagonal enlarged by ``damping`` of itself: steps (p,) and, for each block, (n, segments).
+    """Solve the normal equations, their diagonal enlarged by ``damping`` of itself.
 
-    Each initial state appears in its own segment alone, so they are eliminated one by one.
+    The steps are (p,) and, for each block, (n, segments). Each initial state appears in one segment only, so they are
+    eliminated one by one.
     """
     if not all(np.isfinite(part).all() for block in blocks for part in block):
         raise linalg.LinAlgError("a prediction diverges")

@@ -1,4 +1,4 @@
-"""Measurement noise smoothed away before the lifting: a Kalman smoother that knows which state is another one's velocity."""
+"""Smooth measurement noise away before the lifting: a Kalman smoother that knows which states are velocities."""
 
 import itertools
 import math
@@ -9,25 +9,27 @@ from scipy import optimize
 from tras.noise import noise_level
 from tras.recording import join
 
-_LEAST = 1e-6  # smallest noise, in half-ranges: exact data stay as they are, and nothing divides by zero
-_FEWEST = 10  # samples without which noise and signal cannot be told apart
+_LEAST = 1e-6  # noise in half-ranges, at least: exact data stay as they are, and nothing divides by zero
+_FEWEST = 10  # samples; with fewer, noise and signal cannot be told apart
 
 
 def smooth(recording, pairs=None):
-    """The recording with its states smoothed: their expected values given the whole trajectory, what came after included.
+    """The recording with its states smoothed: their expected values given the whole trajectory, later samples included.
 
-    The signal is modelled as white noise integrated three times (a state by itself: two or three times, whichever is likelier), the
-    measurement noise as white with the deviation that `noise_level` finds; the intensity of the driving noise is the likeliest one.
-    A Kalman filter runs forward and its estimates are corrected backward (H. E. Rauch, F. Tung, C. T. Striebel, AIAA J. 3, 1965,
-    p. 1445); for one state that is a smoothing spline. Inputs stay. Ends are known worse than the middle: smooth before `Recording.cut`.
+    The signal is modelled as white noise integrated three times (a state by itself: two or three times, whichever is
+    likelier), the measurement noise as white with the deviation that `noise_level` finds. The intensity of the driving
+    noise is the likeliest one. A Kalman filter runs forward and its estimates are corrected backward (H. E. Rauch, F.
+    Tung, C. T. Striebel, AIAA J. 3, 1965, p. 1445); for one state that is a smoothing spline. Inputs stay as they are.
+    The ends are known less well than the middle: smooth before `Recording.cut`.
 
     Parameters
     ----------
     recording : Recording
         Trajectories may have different lengths.
     pairs : sequence of (str, str), optional
-        Names of a position and its velocity, as in ``[("phi", "phidot"), ("psi", "psidot")]``: smoothed together under ``q' = v``, so each
-        helps the other. The velocity's unit is the position's per second. All other states are smoothed one by one.
+        Names of a position and its velocity, as in ``[("phi", "phidot"), ("psi", "psidot")]``: they are smoothed
+        together under ``q' = v``, so that each helps the other. The velocity's unit is the position's per second. All
+        other states are smoothed one by one.
 
     Returns
     -------
@@ -36,7 +38,7 @@ def smooth(recording, pairs=None):
     Raises
     ------
     ValueError
-        If a name is unknown or stands twice, a pair is no pair, or no trajectory has ten samples.
+        If a name is unknown or occurs twice, a pair does not hold two names, or no trajectory has ten samples.
     """
     recording = join(recording)
     groups = _groups(recording.state_names, pairs)
@@ -60,7 +62,7 @@ def smooth(recording, pairs=None):
 
 
 def _groups(names, pairs):
-    """Columns that are smoothed together: those of each pair, then every other one by itself."""
+    """The columns that are smoothed together: those of each pair, then every other one by itself."""
     groups = []
     for pair in pairs or ():
         if isinstance(pair, str) or len(pair) != 2:
@@ -77,8 +79,8 @@ def _groups(names, pairs):
 
 
 def _integrated_noise(order):
-    """White noise of intensity 1 integrated ``order`` times: transition A and covariance Q over one sample, (order, order) each."""
-    f, left = math.factorial, range(order - 1, -1, -1)  # left: how many integrations are still to come
+    """White noise of intensity 1, integrated ``order`` times: transition A and covariance Q over a sample."""
+    f, left = math.factorial, range(order - 1, -1, -1)  # left: the integrations that follow
     A = np.array([[1 / f(j - i) if j >= i else 0.0 for j in range(order)] for i in range(order)])
     return A, np.array([[1 / (f(i) * f(j) * (i + j + 1)) for j in left] for i in left])
 
@@ -86,9 +88,10 @@ def _integrated_noise(order):
 def _filter(measured, deviation, order, intensity):
     """Kalman filter of many trajectories (samples_i, channels) at once; the first channels of the state are measured.
 
-    Returns the predictions (samples, trajectories, order) before each measurement, the innovations (samples, trajectories, channels), zero
-    after a trajectory's end, where those are none (samples, trajectories, 1), and for each sample (P, S, K): the covariances of
-    prediction and innovation, and the gain. The latter depend on no data, so all trajectories share them, and they settle.
+    Returns the predictions (samples, trajectories, order) before each measurement; the innovations (samples,
+    trajectories, channels), zero after a trajectory's end; whether a sample is within its trajectory (samples,
+    trajectories, 1); and for each sample (P, S, K), the covariances of prediction and innovation and the gain. These do
+    not depend on the data, so all trajectories share them, and they settle.
     """
     channels, lengths = len(deviation), np.array([len(y) for y in measured])
     inside = np.arange(lengths.max())[:, None, None] < lengths[:, None]
@@ -98,7 +101,7 @@ def _filter(measured, deviation, order, intensity):
     A, Q = _integrated_noise(order)
     one = np.eye(order)
     H, R = one[:channels], np.diag(deviation**2)
-    x, P = np.zeros((len(measured), order)), 100 * one  # ten half-ranges: nothing is known before the first sample
+    x, P = np.zeros((len(measured), order)), 100 * one  # ten half-ranges: before the first sample nothing is known
     predicted, innovation, steps = np.empty((*inside.shape[:2], order)), np.empty_like(Y), []
     settled = False
     for k, y in enumerate(Y):
@@ -116,7 +119,7 @@ def _filter(measured, deviation, order, intensity):
 
 
 def _surprise(measured, deviation, order, intensity):
-    """-log likelihood a number, up to a constant, without the first samples, which only say where a trajectory begins."""
+    """-log likelihood per number, up to a constant, without the first samples: they only say where a motion begins."""
     _, *parts = _filter(measured, deviation, order, intensity)
     innovation, inside, steps = (part[3:] for part in parts)
     total = sum(
@@ -127,7 +130,7 @@ def _surprise(measured, deviation, order, intensity):
 
 
 def _likeliest(measured, deviation, order):
-    """(-log likelihood, order, intensity) of the likeliest intensity, judged by some pieces from all over the data."""
+    """(-log likelihood, order, intensity) of the likeliest intensity, from about twenty pieces spread over the data."""
     pieces = [y[k : k + 500] for y in measured for k in range(0, len(y), 500)]
     pieces = [piece for piece in pieces if len(piece) >= _FEWEST]
     pieces = pieces[:: max(1, len(pieces) // 20)]
@@ -140,15 +143,16 @@ def _likeliest(measured, deviation, order):
 
     grid = np.arange(-22.0, 7.0, 2.0)  # from almost straight lines to no smoothing at all
     best = min(grid, key=surprise)
-    found = optimize.minimize_scalar(surprise, bounds=(best - 2, best + 2), method="bounded", options={"xatol": 0.02})
-    return found.fun, order, intensity(found.x)
+    optimum = optimize.minimize_scalar(surprise, bounds=(best - 2, best + 2), method="bounded", options={"xatol": 0.02})
+    return optimum.fun, order, intensity(optimum.x)
 
 
 def _smooth(measured, deviation, order, intensity):
-    """Smoothed measurements, list of (samples_i, channels).
+    """The smoothed measurements, list of (samples_i, channels).
 
-    The backward pass is Bryson's and Frazier's (G. J. Bierman, *Factorization Methods for Discrete Sequential Estimation*, 1977,
-    Ch. X): the same estimate as Rauch, Tung and Striebel's, without the inverse of a nearly singular covariance.
+    The backward pass is that of Bryson and Frazier (G. J. Bierman, *Factorization Methods for Discrete Sequential
+    Estimation*, 1977, Ch. X): the same estimate as that of Rauch, Tung and Striebel, without the inverse of a nearly
+    singular covariance.
     """
     predicted, innovation, _, steps = _filter(measured, deviation, order, intensity)
     A, one = _integrated_noise(order)[0], np.eye(order)

@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 from sklearn.base import clone
 
-from tras import checkpoint
-from tras.dictionary import Dictionary, Exponentials, Fourier, Monomials, Product, Union
+from tras.dictionary import Dictionary, Exponentials, Fourier, Monomials, Product, Union, label, spelled
 from tras.mechanical import Mechanical
 from tras.model import KoopmanModel
 from tras.radial import GaussianRBF, ThinPlate
@@ -34,17 +33,7 @@ class Point(NamedTuple):
 
     def identity(self):
         """All that its result depends on beside the data, as JSON holds it."""
-        return {"model": checkpoint.spelled(self.model), **{name: getattr(self, name) for name in DATA}}
-
-
-def label(dictionary):
-    """A dictionary with its parameters in a line of text, for tables.
-
-    >>> label(Mechanical())
-    'Mechanical(degree=8)'
-    """
-    given = {name: value for name, value in dictionary.get_params(deep=False).items() if value is not None}
-    return f"{type(dictionary).__name__}({', '.join(f'{name}={checkpoint.spelled(value)}' for name, value in given.items())})"
+        return {"model": spelled(self.model), **{name: getattr(self, name) for name in DATA}}
 
 
 def points(grid):

@@ -55,7 +55,7 @@ def evaluate(data, latest, point):
     try:
         with np.errstate(all="ignore"), one_blas_thread():  # what runs away is counted, not warned of
             model.fit(train, progress=False)
-            true, predicted = search.roll_outs(model, held, latest)
+            true, predicted = held.states[:, latest:], np.stack(search.roll_outs(model, held, latest))
     except UnreadableError:
         raise  # no other point will do better
     except MemoryError:
