@@ -100,7 +100,7 @@ def prediction_band(ensemble, recording, level=0.9):
     bands = []
     for i in range(len(recording)):
         values = np.stack([run[i] for run in runs])
-        for k, side in zip(np.flatnonzero([errors_of_one[i] for each in lost]), np.resize([-np.inf, np.inf], len(runs))):
+        for k, side in zip(np.flatnonzero([member[i] for member in lost]), np.resize([-np.inf, np.inf], len(runs))):
             values[k, ~np.isfinite(values[k])] = side
         # By order statistics: an interpolation would mix infinite members with finite ones.
         bands.append(np.quantile(values, [(1 - level) / 2, 0.5, (1 + level) / 2], axis=0, method="inverted_cdf"))
