@@ -14,7 +14,7 @@ import pandas as pd
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
-from tras import cache, metrics
+from tras import cache
 from tras.baselines.edmd import PykoopEdmd
 from tras.baselines.greybox import GreyBox
 from tras.baselines.hammerstein import HammersteinWiener
@@ -32,7 +32,7 @@ from tras.radial import GaussianRBF
 from tras.recording import Recording
 from tras.search import choose
 from tras.smoothing import smooth
-from tras.validation import ANGLES
+from tras.validation import ANGLES, judge
 
 CHANNELS = {"reference": REFERENCE_NAMES, "torque": TORQUE_NAMES}
 STATES_PAIRED = [("phi", "phidot"), ("psi", "psidot")]
@@ -184,7 +184,8 @@ def score(study, model, recordings, *, everything=True):
         predicted, dt = model.predict(windows), recording.dt
         spans = [(dt, 1, 2), (study.middle, 0, round(study.middle / dt) + 1), (study.window, 0, windows.states.shape[1])]
         for horizon, first, last in spans if everything else spans[-1:]:
-            rows += _judged(windows, predicted, first, last, recording=name, horizon=horizon)
+            judged = judge(windows, predicted, samples=slice(first, last))
+            rows += [{"recording": name, "horizon": horizon, **row} for row in judged]
     if everything:
         long = {name: recording for name, recording in recordings.items() if name.startswith("multisine")}
         joined = Recording(
@@ -192,23 +193,8 @@ def score(study, model, recordings, *, everything=True):
             state_names=recording.state_names, input_names=recording.input_names,
         )  # fmt: skip
         for (name, recording), prediction in zip(long.items(), model.predict(joined)):
-            rows += _judged(recording, prediction[None], 0, len(prediction), recording=name, horizon=(len(prediction) - 1) * dt)
-    return rows
-
-
-def _judged(windows, predicted, first, last, **labels):
-    """Metrics of both angles over the samples ``first`` to ``last``; range, and what counts as diverged, refer to the whole windows."""
-    span = np.ptp(windows.states, axis=(0, 1))
-    true, predicted = windows.states[:, first:last], predicted[:, first:last]
-    lost = metrics.diverged(true, predicted, span=span)
-    rows = []
-    for angle, channel in ANGLES.items():
-        i = [windows.state_names.index(channel)]
-        t, p = true[~lost][..., i], predicted[~lost][..., i]
-        values = dict.fromkeys(("enr", "bfr", "nrmse"), math.nan)
-        if len(t):
-            values = {"enr": metrics.enr(t, p)[0], "bfr": metrics.bfr(t, p)[0], "nrmse": metrics.nrmse(t, p, span=span[i])[0]}
-        rows.append({**labels, "angle": angle, **{k: float(v) for k, v in values.items()}, "windows": len(true), "diverged": int(lost.sum())})
+            horizon = (len(prediction) - 1) * dt
+            rows += [{"recording": name, "horizon": horizon, **row} for row in judge(recording, prediction[None])]
     return rows
 
 

@@ -57,7 +57,7 @@ def score_together(models, recordings, seconds, *, range_over="all"):
         found = stacked.predict([models[i] for i in group], [join(windows[i].values()) for i in group])
         for i, prediction in zip(group, found):
             predicted[i] = prediction
-    return [_judged(*pair, seconds, range_over) for pair in zip(windows, predicted)]
+    return [_table(*pair, seconds, range_over) for pair in zip(windows, predicted)]
 
 
 def _windows(recordings, seconds):
@@ -68,7 +68,7 @@ def _windows(recordings, seconds):
     return windows
 
 
-def _judged(windows, predicted, seconds, range_over):
+def _table(windows, predicted, seconds, range_over):
     """The table of `score` for windows by recording and all predictions in their order."""
     rows = []
     for (name, window), prediction in zip(windows.items(), np.split(predicted, np.cumsum([len(w) for w in windows.values()])[:-1])):
@@ -78,27 +78,25 @@ def _judged(windows, predicted, seconds, range_over):
     return pd.DataFrame(rows)
 
 
-def judge(windows, predicted, *, range_over="all"):
+def judge(windows, predicted, *, range_over="all", samples=slice(None)):
     """The metrics of both angles over windows of one recording and their predictions (windows, samples, n); see `score`.
+
+    With ``samples`` these alone count; the range is still that of the whole windows.
 
     Returns
     -------
     list of dict
-        One an angle: ``angle, enr, bfr, nrmse, windows, diverged``.
+        One per angle: ``angle, enr, bfr, nrmse, windows, diverged``.
     """
-    true = windows.states
-    span = np.ptp(true, axis=(0, 1))
-    lost = metrics.diverged(true, predicted, span=span)
+    true, predicted = windows.states[:, samples], predicted[:, samples]
+    span = np.ptp(windows.states, axis=(0, 1))
     rows = []
     for angle, channel in ANGLES.items():
         with _named(angle):
-            i = [_index(windows, channel, span)]
-            t, p = true[~lost][..., i], predicted[~lost][..., i]
-            values = dict.fromkeys(("enr", "bfr", "nrmse"), np.nan)
-            if len(t):
-                nrmse = metrics.nrmse(t, p, range_over=range_over, span=span[i] if range_over == "all" else None)
-                values = {"enr": metrics.enr(t, p)[0], "bfr": metrics.bfr(t, p)[0], "nrmse": nrmse[0]}
-        rows.append({"angle": angle, **values, "windows": len(windows), "diverged": int(lost.sum())})
+            i = _index(windows, channel, span)
+            scores = metrics.judge(true, predicted, span=span, channels=[i], range_over=range_over)
+        values = {name: float(getattr(scores, name)[0]) for name in ("enr", "bfr", "nrmse")}
+        rows.append({"angle": angle, **values, "windows": scores.windows, "diverged": scores.diverged})
     return rows
 
 
