@@ -14,6 +14,7 @@ from tras.recording import Recording, versions
 
 REFERENCE_NAMES = ("phi_ref", "psi_ref")
 REFERENCE_UNITS = ("rad", "rad")
+INPUTS = {"reference": REFERENCE_NAMES, "torque": TORQUE_NAMES}  # what a model may take for its inputs
 
 
 @dataclass(frozen=True)

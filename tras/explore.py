@@ -12,13 +12,14 @@ import pandas as pd
 
 from tras import grid, validation
 from tras.choice import Choice, ChoiceError
+from tras.closed_loop import INPUTS
 from tras.dictionary import Exponentials, Fourier, Monomials
-from tras.effects import PAPER
 from tras.generator import LogarithmError
 from tras.mechanical import Mechanical
 from tras.model import KoopmanModel
 from tras.noise import add_noise
 from tras.radial import GaussianRBF
+from tras.readings import PAPER_NRMSE
 
 TRAJECTORY = 5.0  # s, pieces of the training recording
 TRAIN_FRACTION, SPLIT_SEED = 0.8, 0  # as in 02_identification
@@ -94,7 +95,7 @@ def explore(choice):
         predicted = {name: each.predict(fresh) for name, each in models.items()}
     metrics, growth, spectrum = [], [], []
     for name, each in models.items():
-        metrics += [{"model": name, **row} for row in validation.judge(fresh, predicted[name], range_over=choice.nrmse_range.replace("validation_set", "all"))]
+        metrics += [{"model": name, **row} for row in validation.judge(fresh, predicted[name], range_over=grid.RANGES[choice.nrmse_range])]
         growth.append(validation.growth_of(fresh, predicted[name], every=max(1, fresh.states.shape[1] // 120)).assign(model=name))
         spectrum.append(pd.DataFrame({"model": name, "real": each.eigenvalues.real, "imag": each.eigenvalues.imag}))
     typical = validation.typical_of(fresh, predicted["Koopman"])
@@ -122,7 +123,7 @@ def numbers(outcome):
     first = outcome.metrics[outcome.metrics["angle"] == "yaw"]
     rows["ran away"] = {row["model"]: f"{row['diverged']:g} of {row['windows']:g}" if row["windows"] > 0 else "" for _, row in first.iterrows()}
     table = pd.DataFrame.from_dict(rows, orient="index", columns=None).reindex(columns=["Koopman", "linear", "paper"]).fillna("")
-    table.loc[["NRMSE (%), yaw", "NRMSE (%), pitch"], "paper"] = [f"{value}" for value in PAPER]
+    table.loc[["NRMSE (%), yaw", "NRMSE (%), pitch"], "paper"] = [f"{value}" for value in PAPER_NRMSE.values()]
     return table
 
 
@@ -193,7 +194,7 @@ def unfitted(choice):
 
 
 def _channels(whole, choice):
-    return whole.select(states=None if choice.state == "four_states" else ("phi", "psi"), inputs=grid.CHANNELS[choice.input])
+    return whole.select(states=None if choice.state == "four_states" else ("phi", "psi"), inputs=INPUTS[choice.input])
 
 
 def _cut(whole, least, name, seconds):
@@ -239,7 +240,7 @@ def _overlay(fresh, predicted, index):
 
 
 def _papers():
-    return [{"model": "paper", "angle": angle, "nrmse": nrmse} for angle, nrmse in zip(validation.ANGLES, PAPER)]
+    return [{"model": "paper", "angle": angle, "nrmse": nrmse} for angle, nrmse in PAPER_NRMSE.items()]
 
 
 def _remarks(model, rows):
