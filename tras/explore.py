@@ -99,8 +99,11 @@ def explore(choice):
         growth.append(validation.growth_of(fresh, predicted[name], every=max(1, fresh.states.shape[1] // 120)).assign(model=name))
         spectrum.append(pd.DataFrame({"model": name, "real": each.eigenvalues.real, "imag": each.eigenvalues.imag}))
     typical = validation.typical_of(fresh, predicted["Koopman"])
+    absent_states = np.full_like(fresh.states, np.nan)
+    runs = {name.lower(): predicted.get(name, absent_states)[typical] for name in ("Koopman", "linear")}
+    papers = [{"model": "paper", "angle": angle, "nrmse": nrmse} for angle, nrmse in PAPER_NRMSE.items()]
     return Outcome(
-        choice, model, linear, pd.DataFrame(metrics + _papers()), _overlay(fresh, predicted, typical), pd.concat(growth, ignore_index=True),
+        choice, model, linear, pd.DataFrame(metrics + papers), validation.overlay_of(fresh[typical], runs), pd.concat(growth, ignore_index=True),
         pd.concat(spectrum, ignore_index=True), fresh[typical], (*_remarks(model, metrics), *absent),
     )
 
@@ -227,20 +230,6 @@ def _functions(model, train):
     if isinstance(model.dictionary, GaussianRBF):
         return 1 + states + inputs + model.dictionary.n_centres
     return 0  # mechanical: as large as its degree allows, which is not too large
-
-
-def _overlay(fresh, predicted, index):
-    table = pd.DataFrame({"time": np.arange(fresh.states.shape[1]) * fresh.dt})
-    runs = {"true": fresh.states} | {name.lower(): states for name, states in predicted.items()}
-    for channel in validation.ANGLES.values():
-        i = fresh.state_names.index(channel)
-        for name in ("true", "koopman", "linear"):
-            table[f"{channel}_{name}"] = runs[name][index, :, i] if name in runs else np.nan
-    return table
-
-
-def _papers():
-    return [{"model": "paper", "angle": angle, "nrmse": nrmse} for angle, nrmse in PAPER_NRMSE.items()]
 
 
 def _remarks(model, rows):

@@ -50,10 +50,8 @@ def growth(runs, truth, latest):
 
     Over the windows of full length that did not diverge.
     """
-    true = [x[latest:] for x, _ in truth]
-    longest = max(map(len, true))
-    full = [k for k, x in enumerate(true) if len(x) == longest]
-    span = metrics.divisor(np.ptp(np.concatenate(true), axis=0))
+    true, full, span = _full(truth, latest)
+    longest = len(true[full[0]])
     table = {"time": np.arange(1, longest) * truth.dt}
     for name, run in runs.items():
         lost = metrics.diverged(true, run)
@@ -64,14 +62,18 @@ def growth(runs, truth, latest):
 
 def typical_and_worst(run, truth, latest):
     """Indices of two windows of full length: the one with the median error, and the one with the largest, diverged ones included."""
-    true = [x[latest:] for x, _ in truth]
-    longest = max(map(len, true))
-    full = [k for k, x in enumerate(true) if len(x) == longest]
-    span = metrics.divisor(np.ptp(np.concatenate(true), axis=0))
+    true, full, span = _full(truth, latest)
     moving = np.isfinite(span)
     error = np.array([np.nan_to_num(np.mean(((run[k] - true[k]) / span)[:, moving] ** 2), nan=np.inf) for k in full])
     order = np.argsort(error, kind="stable")
     return full[order[(len(order) - 1) // 2]], full[order[-1]]
+
+
+def _full(truth, latest):
+    """All windows from the sample ``latest`` on, the numbers of those of full length, the ranges of the states."""
+    true = [x[latest:] for x, _ in truth]
+    longest = max(map(len, true))
+    return true, [k for k, x in enumerate(true) if len(x) == longest], metrics.divisor(np.ptp(np.concatenate(true), axis=0))
 
 
 def _one_step(model, starts, truth):

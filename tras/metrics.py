@@ -59,7 +59,8 @@ def judge(true, predicted, *, span=None, channels=None, range_over="all"):
         normalized = _percent(np.concatenate(true) - np.concatenate(predicted), divisor(span[channels]))
     else:
         normalized = nrmse(true, predicted, range_over=range_over)
-    return Scores(error / divisor(size), _fit(error, divisor(spread)), normalized, len(lost), int(lost.sum()))
+    fit = 100 * np.maximum(1 - error / divisor(spread), 0)
+    return Scores(error / divisor(size), fit, normalized, len(lost), int(lost.sum()))
 
 
 def enr(true, predicted):
@@ -80,7 +81,7 @@ def bfr(true, predicted):
     The paper prints it without "1 -"; as printed a worse model would score higher.
     """
     error, _, spread = _norms(*_pair(true, predicted))
-    return _fit(error, _positive(spread, "the truth is constant"))
+    return 100 * np.maximum(1 - error / _positive(spread, "the truth is constant"), 0)
 
 
 def nrmse(true, predicted, *, range_over="all", span=None):
@@ -136,10 +137,6 @@ def _norms(true, predicted):
     """Norms of the error, of the truth and of its distance from its mean, each (n,), over all samples."""
     true, predicted = np.concatenate(true), np.concatenate(predicted)
     return [np.linalg.norm(values, axis=0) for values in (true - predicted, true, true - true.mean(axis=0))]
-
-
-def _fit(error, spread):
-    return 100 * np.maximum(1 - error / spread, 0)
 
 
 def _percent(error, span):

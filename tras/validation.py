@@ -91,9 +91,8 @@ def judge(windows, predicted, *, range_over="all", samples=slice(None)):
     true, predicted = windows.states[:, samples], predicted[:, samples]
     span = np.ptp(windows.states, axis=(0, 1))
     rows = []
-    for angle, channel in ANGLES.items():
+    for angle, i in _columns(windows, span).items():
         with _named(angle):
-            i = _index(windows, channel, span)
             scores = metrics.judge(true, predicted, span=span, channels=[i], range_over=range_over)
         values = {name: float(getattr(scores, name)[0]) for name in ("enr", "bfr", "nrmse")}
         rows.append({"angle": angle, **values, "windows": scores.windows, "diverged": scores.diverged})
@@ -120,9 +119,7 @@ def growth_of(windows, predicted, *, every=1):
     kept = ~metrics.diverged(true, predicted, span=span)
     times = np.arange(every, true.shape[1], every)
     parts = []
-    for angle, channel in ANGLES.items():
-        with _named(angle):
-            i = _index(windows, channel, span)
+    for angle, i in _columns(windows, span).items():
         error = true[kept][:, times, i] - predicted[kept][:, times, i]
         rms = 100 * np.sqrt(np.mean(error**2, axis=0)) / span[i] if kept.any() else np.full(len(times), np.nan)
         parts.append(pd.DataFrame({"time": times * windows.dt, "angle": angle, "nrmse": rms}))
@@ -137,10 +134,8 @@ def typical_window(model, recording, seconds):
 
 def typical_of(windows, predicted):
     """As `typical_window`, of windows and their predictions (windows, samples, n)."""
-    i, span = [], np.ptp(windows.states, axis=(0, 1))
-    for angle, channel in ANGLES.items():
-        with _named(angle):
-            i.append(_index(windows, channel, span))
+    span = np.ptp(windows.states, axis=(0, 1))
+    i = [*_columns(windows, span).values()]
     true, predicted = windows.states[..., i], predicted[..., i]
     error = np.sqrt(np.mean((true - predicted) ** 2, axis=1)) / span[i]
     error = np.nan_to_num(error.mean(axis=1), nan=np.inf)
@@ -164,12 +159,16 @@ def overlay(models, recording, seconds, index):
         ``time`` (s) and, in rad, ``phi_true, psi_true`` and ``phi_NAME, psi_NAME`` for each model.
     """
     window = recording.cut(round(seconds / recording.dt) + 1)[index]
+    return overlay_of(window, {name: model.predict(window)[0] for name, model in models.items()})
+
+
+def overlay_of(window, predicted):
+    """As `overlay`, of one window and its predictions, name -> (samples, n)."""
     table = pd.DataFrame({"time": np.arange(window.lengths[0]) * window.dt})
     for channel in ANGLES.values():
         i = window.state_names.index(channel)
-        table[f"{channel}_true"] = window.states[0, :, i]
-        for name, model in models.items():
-            table[f"{channel}_{name}"] = model.predict(window)[0, :, i]
+        for name, states in ({"true": window.states[0]} | predicted).items():
+            table[f"{channel}_{name}"] = states[:, i]
     return table
 
 
@@ -182,11 +181,14 @@ def _named(place):
         raise ValueError(f"{place}: {error}") from error
 
 
-def _index(windows, channel, span):
-    """Number of the state ``channel``, which must be there and move."""
-    if channel not in windows.state_names:
-        raise ValueError(f"there is no state {channel!r}; there are {', '.join(windows.state_names)}.")
-    i = windows.state_names.index(channel)
-    if span[i] == 0:
-        raise ValueError(f"the truth {channel} is constant, so there is no range to relate the error to; use a recording in which it moves.")
-    return i
+def _columns(windows, span):
+    """Angle -> number of its state, which must be there and move."""
+    columns = {}
+    for angle, channel in ANGLES.items():
+        if channel not in windows.state_names:
+            raise ValueError(f"{angle}: there is no state {channel!r}; there are {', '.join(windows.state_names)}.")
+        i = columns[angle] = windows.state_names.index(channel)
+        if span[i] == 0:
+            reason = "so there is no range to relate the error to; use a recording in which it moves."
+            raise ValueError(f"{angle}: the truth {channel} is constant, {reason}")
+    return columns
