@@ -96,14 +96,14 @@ def explore(choice):
     metrics, growth, spectrum = [], [], []
     for name, each in models.items():
         metrics += [{"model": name, **row} for row in validation.judge(fresh, predicted[name], range_over=grid.RANGES[choice.nrmse_range])]
-        growth.append(validation.growth_of(fresh, predicted[name], every=max(1, fresh.states.shape[1] // 120)).assign(model=name))
+        growth.append(validation.error_growth(fresh, predicted[name], every=max(1, fresh.states.shape[1] // 120)).assign(model=name))
         spectrum.append(pd.DataFrame({"model": name, "real": each.eigenvalues.real, "imag": each.eigenvalues.imag}))
-    typical = validation.typical_of(fresh, predicted["Koopman"])
+    typical = validation.typical_window(fresh, predicted["Koopman"])
     absent_states = np.full_like(fresh.states, np.nan)
     runs = {name.lower(): predicted.get(name, absent_states)[typical] for name in ("Koopman", "linear")}
     papers = [{"model": "paper", "angle": angle, "nrmse": nrmse} for angle, nrmse in PAPER_NRMSE.items()]
     return Outcome(
-        choice, model, linear, pd.DataFrame(metrics + papers), validation.overlay_of(fresh[typical], runs), pd.concat(growth, ignore_index=True),
+        choice, model, linear, pd.DataFrame(metrics + papers), validation.overlay(fresh[typical], runs), pd.concat(growth, ignore_index=True),
         pd.concat(spectrum, ignore_index=True), fresh[typical], (*_remarks(model, metrics), *absent),
     )
 

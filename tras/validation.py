@@ -99,8 +99,8 @@ def judge(windows, predicted, *, range_over="all", samples=slice(None)):
     return rows
 
 
-def error_growth(model, recording, seconds, *, every=1):
-    """Root mean square error at each instant after the start of the windows, in percent of the truth's range.
+def error_growth(windows, predicted, *, every=1):
+    """Root mean square error at each instant after the start of the windows, in percent of the truth's range; arguments as for `judge`.
 
     Returns
     -------
@@ -108,12 +108,6 @@ def error_growth(model, recording, seconds, *, every=1):
         Columns ``time`` (s), ``angle, nrmse``; every ``every``-th sample, without the first, whose error is zero. Diverged windows
         are left out; NaN if all are. The range is that of all windows.
     """
-    windows = recording.cut(round(seconds / recording.dt) + 1)
-    return growth_of(windows, model.predict(windows), every=every)
-
-
-def growth_of(windows, predicted, *, every=1):
-    """As `error_growth`, of windows and their predictions (windows, samples, n)."""
     true = windows.states
     span = np.ptp(true, axis=(0, 1))
     kept = ~metrics.diverged(true, predicted, span=span)
@@ -126,14 +120,8 @@ def growth_of(windows, predicted, *, every=1):
     return pd.concat(parts, ignore_index=True)
 
 
-def typical_window(model, recording, seconds):
+def typical_window(windows, predicted):
     """Index of the window whose mean NRMSE of the two angles is the median one: neither the best picture nor the worst."""
-    windows = recording.cut(round(seconds / recording.dt) + 1)
-    return typical_of(windows, model.predict(windows))
-
-
-def typical_of(windows, predicted):
-    """As `typical_window`, of windows and their predictions (windows, samples, n)."""
     span = np.ptp(windows.states, axis=(0, 1))
     i = [*_columns(windows, span).values()]
     true, predicted = windows.states[..., i], predicted[..., i]
@@ -142,28 +130,20 @@ def typical_of(windows, predicted):
     return int(np.argsort(error, kind="stable")[(len(error) - 1) // 2])
 
 
-def overlay(models, recording, seconds, index):
+def overlay(window, predicted):
     """Truth and predictions over one window, as the table behind Fig. 3.
 
     Parameters
     ----------
-    models : dict of str to KoopmanModel
-    recording : Recording
-    seconds : float
-    index : int
-        Which window.
+    window : Recording
+        Of one trajectory.
+    predicted : dict of str to (samples, n) ndarray
 
     Returns
     -------
     pandas.DataFrame
-        ``time`` (s) and, in rad, ``phi_true, psi_true`` and ``phi_NAME, psi_NAME`` for each model.
+        ``time`` (s) and, in rad, ``phi_true, psi_true`` and ``phi_NAME, psi_NAME`` for each prediction.
     """
-    window = recording.cut(round(seconds / recording.dt) + 1)[index]
-    return overlay_of(window, {name: model.predict(window)[0] for name, model in models.items()})
-
-
-def overlay_of(window, predicted):
-    """As `overlay`, of one window and its predictions, name -> (samples, n)."""
     table = pd.DataFrame({"time": np.arange(window.lengths[0]) * window.dt})
     for channel in ANGLES.values():
         i = window.state_names.index(channel)
