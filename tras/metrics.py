@@ -16,10 +16,8 @@ class Scores:
 
     Attributes
     ----------
-    enr : (channels,) ndarray
-        Error-to-norm ratio, a fraction, over the trajectories that did not diverge. NaN if all did, or if the truth is zero.
-    bfr, nrmse : (channels,) ndarray
-        Best-fit ratio and normalized root mean square error, in percent, likewise. NaN if all diverged, or if the truth is constant.
+    enr, bfr, nrmse : (channels,) ndarray
+        Over the trajectories that did not diverge; NaN if all did, or where the truth is zero (``enr``) or constant (the others).
     windows, diverged : int
         How many trajectories there are, and how many of them diverged.
     """
