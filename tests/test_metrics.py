@@ -77,10 +77,13 @@ def test_the_judge_gives_the_metrics_of_what_did_not_diverge():
     scores = metrics.judge(true, wrong)
     assert (scores.windows, scores.diverged) == (3, 1)
     assert np.array_equal(scores.enr, metrics.enr(TRUE, WRONG)) and np.array_equal(scores.bfr, metrics.bfr(TRUE, WRONG))
-    assert np.array_equal(scores.nrmse, metrics.nrmse(TRUE, WRONG, span=np.ptp(true, axis=(0, 1))))  # the range is that of all
-    assert np.array_equal(metrics.judge(TRUE, WRONG, span=[8.0, 8.0]).nrmse, metrics.nrmse(TRUE, WRONG, span=[8.0, 8.0]))
+    span = np.ptp(true, axis=(0, 1))  # that of all
+    assert np.array_equal(scores.nrmse, metrics.nrmse(TRUE, WRONG, span=span))
+    span = [8.0, 8.0]
+    assert np.array_equal(metrics.judge(TRUE, WRONG, span=span).nrmse, metrics.nrmse(TRUE, WRONG, span=span))
     one = metrics.judge(true, wrong, channels=[1], range_over="trajectory")  # it diverged in the other one
-    assert one.diverged == 1 and np.array_equal(one.nrmse, metrics.nrmse(TRUE[..., 1:], WRONG[..., 1:], range_over="trajectory"))
+    own = metrics.nrmse(TRUE[..., 1:], WRONG[..., 1:], range_over="trajectory")
+    assert one.diverged == 1 and np.array_equal(one.nrmse, own)
     assert np.array_equal(one.enr, metrics.enr(TRUE[..., 1:], WRONG[..., 1:]))
     unequal = [TRUE[0], np.concatenate([TRUE[1], TRUE[1]])], [WRONG[0], np.concatenate([WRONG[1], WRONG[1]])]
     assert np.array_equal(metrics.judge(*unequal).nrmse, metrics.nrmse(*unequal))
@@ -90,12 +93,16 @@ def test_the_judge_has_no_number_where_nothing_is_left_or_nothing_moves():
     gone = metrics.judge(TRUE, np.full_like(TRUE, np.nan))
     assert (gone.windows, gone.diverged) == (2, 2) and np.isnan([gone.enr, gone.bfr, gone.nrmse]).all()
     still = metrics.judge(TRUE * [1, 0], TRUE * [1, 0])
-    assert still.diverged == 0 and np.array_equal([still.enr, still.bfr, still.nrmse], [[0, np.nan], [100, np.nan], [0, np.nan]], equal_nan=True)
+    numbers, expected = [still.enr, still.bfr, still.nrmse], [[0, np.nan], [100, np.nan], [0, np.nan]]
+    assert still.diverged == 0 and np.array_equal(numbers, expected, equal_nan=True)
     level = metrics.judge(TRUE * [1, 0] + [0, 2], TRUE * [1, 0] + [0, 1])
     assert level.enr[1] == 0.5 and np.isnan([level.bfr[1], level.nrmse[1]]).all()
 
 
-METRICS = [metrics.enr, metrics.bfr, metrics.nrmse, metrics.diverged, metrics.judge, lambda t, p: metrics.nrmse(t, p, range_over="trajectory")]
+METRICS = [
+    metrics.enr, metrics.bfr, metrics.nrmse, metrics.diverged, metrics.judge,
+    lambda t, p: metrics.nrmse(t, p, range_over="trajectory"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("metric", METRICS)

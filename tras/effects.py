@@ -14,7 +14,8 @@ def target(angle_names="words"):
     if angle_names not in readings.choices("angle_names"):
         readings.Readings(angle_names=angle_names)  # says what is wrong
     values = tuple(readings.PAPER_NRMSE.values())
-    return values if angle_names == "words" else values[::-1]  # phi is "yaw" in the paper's words and pitch in its equations
+    # phi is "yaw" in the paper's words and pitch in its equations
+    return values if angle_names == "words" else values[::-1]
 
 
 def distance(yaw, pitch, angle_names="words"):

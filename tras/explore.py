@@ -94,17 +94,19 @@ def explore(choice):
     with np.errstate(all="ignore"):  # what runs away is counted
         predicted = {name: each.predict(fresh) for name, each in models.items()}
     metrics, growth, spectrum = [], [], []
+    range_over, every = grid.RANGES[choice.nrmse_range], max(1, fresh.states.shape[1] // 120)
     for name, each in models.items():
-        metrics += [{"model": name, **row} for row in validation.judge(fresh, predicted[name], range_over=grid.RANGES[choice.nrmse_range])]
-        growth.append(validation.error_growth(fresh, predicted[name], every=max(1, fresh.states.shape[1] // 120)).assign(model=name))
+        judged = validation.judge(fresh, predicted[name], range_over=range_over)
+        metrics += [{"model": name, **row} for row in judged]
+        growth.append(validation.error_growth(fresh, predicted[name], every=every).assign(model=name))
         spectrum.append(pd.DataFrame({"model": name, "real": each.eigenvalues.real, "imag": each.eigenvalues.imag}))
     typical = validation.typical_window(fresh, predicted["Koopman"])
     absent_states = np.full_like(fresh.states, np.nan)
     runs = {name.lower(): predicted.get(name, absent_states)[typical] for name in ("Koopman", "linear")}
     papers = [{"model": "paper", "angle": angle, "nrmse": nrmse} for angle, nrmse in PAPER_NRMSE.items()]
     return Outcome(
-        choice, model, linear, pd.DataFrame(metrics + papers), validation.overlay(fresh[typical], runs), pd.concat(growth, ignore_index=True),
-        pd.concat(spectrum, ignore_index=True), fresh[typical], (*_remarks(model, metrics), *absent),
+        choice, model, linear, pd.DataFrame(metrics + papers), validation.overlay(fresh[typical], runs),
+        pd.concat(growth, ignore_index=True), pd.concat(spectrum, ignore_index=True), fresh[typical], (*_remarks(model, metrics), *absent),
     )
 
 

@@ -27,8 +27,8 @@ def compare(models, truth, train, latest):
     Returns
     -------
     table : pandas.DataFrame
-        ``state, prediction, one_step`` (NRMSE over one sample, %), ``nrmse`` (%), ``bfr`` (%), ``enr`` (fraction), ``windows, diverged``. Windows
-        and single steps that diverged are left out of the metrics; NaN where a state does not move.
+        ``state, prediction, one_step`` (NRMSE over one sample, %), ``nrmse, bfr`` (%), ``enr`` (fraction), ``windows,
+        diverged``. Windows and single steps that diverged are left out of the metrics; NaN where a state does not move.
     runs : dict of str to list of (samples_i, n)
         The predictions.
     """
@@ -40,7 +40,7 @@ def compare(models, truth, train, latest):
     for name, run in runs.items():
         scores = metrics.judge(true, run)
         one_step = _one_step(*models[name], truth) if name in models else np.nan
-        values = {"nrmse": scores.nrmse, "bfr": scores.bfr, "enr": scores.enr, "windows": scores.windows, "diverged": scores.diverged}
+        values = {name: getattr(scores, name) for name in ("nrmse", "bfr", "enr", "windows", "diverged")}
         parts.append(pd.DataFrame({"state": truth.state_names, "prediction": name, "one_step": one_step, **values}))
     return pd.concat(parts, ignore_index=True), runs
 
@@ -73,7 +73,8 @@ def _full(truth, latest):
     """All windows from the sample ``latest`` on, the numbers of those of full length, the ranges of the states."""
     true = [x[latest:] for x, _ in truth]
     longest = max(map(len, true))
-    return true, [k for k, x in enumerate(true) if len(x) == longest], metrics.divisor(np.ptp(np.concatenate(true), axis=0))
+    full = [k for k, x in enumerate(true) if len(x) == longest]
+    return true, full, metrics.divisor(np.ptp(np.concatenate(true), axis=0))
 
 
 def _one_step(model, starts, truth):

@@ -1,8 +1,8 @@
-"""How far a prediction is from the truth: Enr (19), BFR (20), NRMSE (21), divergence, and `judge`, which gives all of them.
+"""How far a prediction is from the truth: Enr (19), BFR (20), NRMSE (21), divergence; `judge` gives all of them.
 
 Every function takes truth and prediction of shape (..., samples, n), or two lists of (samples_i, n) when lengths differ, and
-returns one value per channel, over all trajectories and samples together. Only `judge` leaves diverged predictions out, and
-counts them. Shapes that differ, no trajectory at all, and NaN or infinity in the truth are a ValueError.
+returns one value per channel, over all trajectories and samples together. Only `judge` leaves diverged predictions out,
+and counts them. Shapes that differ, no trajectory at all, and NaN or infinity in the truth are a ValueError.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ class Scores:
     Attributes
     ----------
     enr, bfr, nrmse : (channels,) ndarray
-        Over the trajectories that did not diverge; NaN if all did, or where the truth is zero (``enr``) or constant (the others).
+        Over the trajectories that did not diverge; NaN if all did, or where the truth is zero (``enr``) or constant.
     windows, diverged : int
         How many trajectories there are, and how many of them diverged.
     """
@@ -36,8 +36,8 @@ def judge(true, predicted, *, span=None, channels=None, range_over="all"):
     ----------
     true, predicted : array_like
     span : (n,) array_like, optional
-        The range that NRMSE and divergence refer to. Default: that of all trajectories, diverged ones too, so that losing some
-        does not change it.
+        The range that NRMSE and divergence refer to. Default: that of all trajectories, diverged ones too, so that
+        losing some does not change it.
     channels : list of int, optional
         Those to score; default all. A trajectory has diverged if it did so in any channel.
     range_over : {"all", "trajectory"}
@@ -169,7 +169,8 @@ def _pair(true, predicted):
     if not np.isfinite(np.concatenate(true)).all():
         i, t = next((i, t) for i, t in enumerate(true) if not np.isfinite(t).all())
         sample, channel = np.argwhere(~np.isfinite(t))[0]
-        raise ValueError(f"true is {t[sample, channel]} in trajectory {i} at sample {sample}, channel {channel}; leave that out.")
+        where = f"in trajectory {i} at sample {sample}, channel {channel}"
+        raise ValueError(f"true is {t[sample, channel]} {where}; leave that out.")
     return true, predicted
 
 

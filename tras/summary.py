@@ -56,4 +56,5 @@ def _prediction(model, recording):
     many = metrics.judge(recording.states, model.predict(recording))
     both = ", ".join(f"{name} {a:.3g} and {b:.3g} %" for name, a, b in zip(model.state_names_, one.nrmse, many.nrmse))
     steps = f", {one.diverged} of {one.windows} single steps" if one.diverged else ""
-    return [f"one-step and multi-step NRMSE: {both}", f"diverged: {many.diverged} of {many.windows} trajectories{steps}"]
+    lost = f"{many.diverged} of {many.windows} trajectories{steps}"
+    return [f"one-step and multi-step NRMSE: {both}", f"diverged: {lost}"]

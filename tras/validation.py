@@ -100,7 +100,7 @@ def judge(windows, predicted, *, range_over="all", samples=slice(None)):
 
 
 def error_growth(windows, predicted, *, every=1):
-    """Root mean square error at each instant after the start of the windows, in percent of the truth's range; arguments as for `judge`.
+    """Root mean square error at each instant after the start, in percent of the range; arguments as for `judge`.
 
     Returns
     -------
