@@ -88,7 +88,7 @@ def test_one_number_may_be_met_without_the_other():
 
 @pytest.mark.parametrize("factor, met", [(1.09, True), (1.12, False), (0.92, True), (0.89, False)])
 def test_a_number_is_met_within_the_range_and_a_tenth(factor, met):
-    yaw, pitch = effects.PAPER
+    yaw, pitch = effects.target()
     row = claims.nrmse(grid(lambda r: (yaw * factor, pitch), spread=0), "yaw")
     assert (row["verdict"] == claims.REPRODUCED) == met
     assert row["value"] == pytest.approx(yaw * factor) and row["low"] == row["high"] == row["value"]

@@ -189,7 +189,7 @@ def test_stacked_free_runs_are_each_models_own(experiment):
     """Also where one of them runs away."""
     recording = experiment.select(inputs=["u_phi", "u_psi"])
     dictionary = tras.GaussianRBF(2, seed=3)
-    models = [tras.KoopmanModel(dictionary, **grid.MODEL).fit(part) for part in (recording[:8], recording[8:])]
+    models = [tras.KoopmanModel(dictionary, **readings.PAPER_FIT).fit(part) for part in (recording[:8], recording[8:])]
     models[1].W_[1] *= 1.5  # faster than the data
     models[1].W_[1, 1] += 30.0
     starts, inputs = recording.states[:6, :1].reshape(2, 3, 1, 4), recording.inputs[:6].reshape(2, 3, 501, 2)

@@ -70,7 +70,39 @@ def test_an_exact_prediction_of_a_constant_has_not_diverged():
         assert list(metrics.diverged(true, true + [limit * 0.99, 0], span=[0, 4])) == [False, False]
 
 
-METRICS = [metrics.enr, metrics.bfr, metrics.nrmse, metrics.diverged, lambda t, p: metrics.nrmse(t, p, range_over="trajectory")]
+def test_the_judge_gives_the_metrics_of_what_did_not_diverge():
+    true = np.concatenate([TRUE, TRUE[:1] + 100])
+    wrong = np.concatenate([WRONG, TRUE[:1] + 100])
+    wrong[2, 1, 0] = np.nan
+    scores = metrics.judge(true, wrong)
+    assert (scores.windows, scores.diverged) == (3, 1)
+    assert np.array_equal(scores.enr, metrics.enr(TRUE, WRONG)) and np.array_equal(scores.bfr, metrics.bfr(TRUE, WRONG))
+    span = np.ptp(true, axis=(0, 1))  # that of all
+    assert np.array_equal(scores.nrmse, metrics.nrmse(TRUE, WRONG, span=span))
+    span = [8.0, 8.0]
+    assert np.array_equal(metrics.judge(TRUE, WRONG, span=span).nrmse, metrics.nrmse(TRUE, WRONG, span=span))
+    one = metrics.judge(true, wrong, channels=[1], range_over="trajectory")  # it diverged in the other one
+    own = metrics.nrmse(TRUE[..., 1:], WRONG[..., 1:], range_over="trajectory")
+    assert one.diverged == 1 and np.array_equal(one.nrmse, own)
+    assert np.array_equal(one.enr, metrics.enr(TRUE[..., 1:], WRONG[..., 1:]))
+    unequal = [TRUE[0], np.concatenate([TRUE[1], TRUE[1]])], [WRONG[0], np.concatenate([WRONG[1], WRONG[1]])]
+    assert np.array_equal(metrics.judge(*unequal).nrmse, metrics.nrmse(*unequal))
+
+
+def test_the_judge_has_no_number_where_nothing_is_left_or_nothing_moves():
+    gone = metrics.judge(TRUE, np.full_like(TRUE, np.nan))
+    assert (gone.windows, gone.diverged) == (2, 2) and np.isnan([gone.enr, gone.bfr, gone.nrmse]).all()
+    still = metrics.judge(TRUE * [1, 0], TRUE * [1, 0])
+    numbers, expected = [still.enr, still.bfr, still.nrmse], [[0, np.nan], [100, np.nan], [0, np.nan]]
+    assert still.diverged == 0 and np.array_equal(numbers, expected, equal_nan=True)
+    level = metrics.judge(TRUE * [1, 0] + [0, 2], TRUE * [1, 0] + [0, 1])
+    assert level.enr[1] == 0.5 and np.isnan([level.bfr[1], level.nrmse[1]]).all()
+
+
+METRICS = [
+    metrics.enr, metrics.bfr, metrics.nrmse, metrics.diverged, metrics.judge,
+    lambda t, p: metrics.nrmse(t, p, range_over="trajectory"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("metric", METRICS)
@@ -105,6 +137,8 @@ def test_shapes_are_checked_everywhere(metric, true, predicted, words):
         (lambda: metrics.nrmse(TRUE, TRUE, range_over="trajectory", span=[1.0, 1.0]), "give one of the two"),
         (lambda: metrics.nrmse(TRUE, TRUE, range_over="trajectory"), "channel 0: the truth of trajectory 1 is constant"),
         (lambda: metrics.nrmse(TRUE, TRUE, range_over="window"), "range_over is 'window'"),
+        (lambda: metrics.judge(TRUE, TRUE, range_over="window"), "range_over is 'window'"),
+        (lambda: metrics.judge(TRUE, TRUE, span=[1.0]), "span is .1.0.; give one finite range for each of the 2"),
     ],
 )
 def test_mistakes_are_named(call, words):

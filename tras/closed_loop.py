@@ -18,6 +18,7 @@ from tras.recording import Recording, versions
 REFERENCE_NAMES = ("phi_ref", "psi_ref")
 REFERENCE_UNITS = ("rad", "rad")
 BATCH = 40  # runs from which arrays are faster than floats
+INPUTS = {"reference": REFERENCE_NAMES, "torque": TORQUE_NAMES}  # what a model may take for its inputs
 
 
 @dataclass(frozen=True)

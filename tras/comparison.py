@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from tras import cache, metrics
+from tras import cache
 from tras.baselines.edmd import PykoopEdmd
 from tras.baselines.greybox import GreyBox
 from tras.baselines.hammerstein import HammersteinWiener
@@ -20,23 +20,21 @@ from tras.baselines.linear import DMDc
 from tras.baselines.narx import NeuralNARX, PolynomialNARX
 from tras.baselines.sindy import SINDy
 from tras.baselines.subspace import N4SID
-from tras.closed_loop import REFERENCE_NAMES
+from tras.closed_loop import INPUTS
 from tras.dictionary import Monomials
 from tras.mechanical import Mechanical
 from tras.model import KoopmanModel
 from tras.noise import add_noise
-from tras.plant import TORQUE_NAMES
+from tras.plant import STATE_PAIRS
 from tras.radial import GaussianRBF
+from tras.readings import PAPER_FIT
 from tras.recording import Recording
 from tras.search import choose
 from tras.smoothing import smooth
 from tras.study import compute
-from tras.validation import ANGLES
+from tras.validation import ANGLES, judge
 
-CHANNELS = {"reference": REFERENCE_NAMES, "torque": TORQUE_NAMES}
-STATES_PAIRED = [("phi", "phidot"), ("psi", "psidot")]
 TRIES = 6
-PRINTED = {"field": "least_squares", "regularization": None, "extrapolation": "functions"}  # as the paper fits
 METHODS = {
     "DMDc": [DMDc(0.0), DMDc(1e-8), DMDc(1e-6), DMDc(1e-4), DMDc(rank=5), DMDc(rank=4)],
     "N4SID": [N4SID(4, 2, 1e-5), N4SID(4, 3, 1e-2), N4SID(4, 4, 1e-2), N4SID(4, 4, 1e-4), N4SID(4, 10, 1e-2), N4SID(6, 10, 1e-3)],
@@ -49,7 +47,7 @@ METHODS = {
     ],
     "SINDy": [SINDy(2, 0.02), SINDy(2, 0.1), SINDy(3, 0.01), SINDy(3, 0.05), SINDy(3, 0.05, differentiation="forward"), SINDy(4, 0.1)],
     "EDMD (pykoop)": [PykoopEdmd(2), PykoopEdmd(3), PykoopEdmd(4), PykoopEdmd(3, alpha=1.0), PykoopEdmd(2, relift=False), PykoopEdmd(3, relift=False)],
-    "Koopman, the paper's": [KoopmanModel(GaussianRBF(2, 1.0, seed), **PRINTED) for seed in range(6)],
+    "Koopman, the paper's": [KoopmanModel(GaussianRBF(2, 1.0, seed), **PAPER_FIT) for seed in range(6)],
     "Koopman, monomials": [KoopmanModel(Monomials(degree), predictor) for degree in (2, 3, 4) for predictor in ("vector_field", "one_step")],
     "Koopman, mechanical": [KoopmanModel(Mechanical(degree), predictor) for degree in (4, 6, 8) for predictor in ("vector_field", "one_step")],
     "grey box": [GreyBox(0.5), GreyBox(1.0), GreyBox(2.5), GreyBox(5.0), GreyBox(1.0, "soft_l1"), GreyBox(5.0, "soft_l1")],
@@ -82,10 +80,10 @@ def jobs(study):
     unknown = [name for name in study.methods if name not in METHODS]
     if unknown:
         raise ValueError(f"methods holds {unknown[0]!r}; choose among {', '.join(METHODS)}.")
-    unknown = [name for name in study.data_inputs if name not in CHANNELS]
+    unknown = [name for name in study.data_inputs if name not in INPUTS]
     if unknown:
-        raise ValueError(f"data_inputs holds {unknown[0]!r}; choose among {', '.join(CHANNELS)}.")
-    conditions = [{"input": name, "noise": 0.0, "smoothed": False, "fraction": 1.0} for name in CHANNELS]
+        raise ValueError(f"data_inputs holds {unknown[0]!r}; choose among {', '.join(INPUTS)}.")
+    conditions = [{"input": name, "noise": 0.0, "smoothed": False, "fraction": 1.0} for name in INPUTS]
     for name in study.data_inputs:
         conditions += [{"input": name, "noise": study.noise, "smoothed": smoothed, "fraction": 1.0} for smoothed in (False, True)]
         conditions += [{"input": name, "noise": 0.0, "smoothed": False, "fraction": fraction} for fraction in study.fractions]
@@ -147,7 +145,7 @@ def _case(study, job, data, validation):
     tuned = time.process_time()
     model.fit(data)
     fitted = time.process_time()
-    fresh = {name: recording.select(inputs=CHANNELS[job["input"]]) for name, recording in validation.items()}
+    fresh = {name: recording.select(inputs=INPUTS[job["input"]]) for name, recording in validation.items()}
     scores = score(study, model, fresh, everything=_is_main(job))
     times = {"tune": tuned - began, "fit": fitted - tuned, "simulate": time.process_time() - fitted}
     rows = [{"setting": _text(row.model), "error": row.error, "chosen": bool(row.chosen), "failure": row.failure} for row in tried.itertuples()]
@@ -157,12 +155,12 @@ def _case(study, job, data, validation):
 def prepare(study, job, train):
     """The whole training recording with the job's noise, smoothed if it says so: before any cut, whose shared samples then stay one."""
     recording = add_noise(train, job["noise"] / 100, study.noise_seed) if job["noise"] else train
-    return smooth(recording, STATES_PAIRED) if job["smoothed"] else recording
+    return smooth(recording, STATE_PAIRS) if job["smoothed"] else recording
 
 
 def training(study, job, train, prepared=None):
     """The trajectories that a job may see; ``prepared`` is what `prepare` gives, if it is at hand."""
-    recording = (prepare(study, job, train) if prepared is None else prepared).select(inputs=CHANNELS[job["input"]])
+    recording = (prepare(study, job, train) if prepared is None else prepared).select(inputs=INPUTS[job["input"]])
     pieces, _ = recording.cut(round(study.trajectory / recording.dt) + 1).split(study.train_fraction, study.split_seed)
     order = np.random.default_rng(study.split_seed).permutation(len(pieces))
     return pieces[np.sort(order[: max(1, round(job["fraction"] * len(pieces)))])]
@@ -184,7 +182,8 @@ def score(study, model, recordings, *, everything=True):
         predicted, dt = model.predict(windows), recording.dt
         spans = [(dt, 1, 2), (study.middle, 0, round(study.middle / dt) + 1), (study.window, 0, windows.states.shape[1])]
         for horizon, first, last in spans if everything else spans[-1:]:
-            rows += _judged(windows, predicted, first, last, recording=name, horizon=horizon)
+            judged = judge(windows, predicted, samples=slice(first, last))
+            rows += [{"recording": name, "horizon": horizon, **row} for row in judged]
     if everything:
         long = {name: recording for name, recording in recordings.items() if name.startswith("multisine")}
         joined = Recording(
@@ -192,23 +191,8 @@ def score(study, model, recordings, *, everything=True):
             state_names=recording.state_names, input_names=recording.input_names,
         )  # fmt: skip
         for (name, recording), prediction in zip(long.items(), model.predict(joined)):
-            rows += _judged(recording, prediction[None], 0, len(prediction), recording=name, horizon=(len(prediction) - 1) * dt)
-    return rows
-
-
-def _judged(windows, predicted, first, last, **labels):
-    """Metrics of both angles over the samples ``first`` to ``last``; range, and what counts as diverged, refer to the whole windows."""
-    span = np.ptp(windows.states, axis=(0, 1))
-    true, predicted = windows.states[:, first:last], predicted[:, first:last]
-    lost = metrics.diverged(true, predicted, span=span)
-    rows = []
-    for angle, channel in ANGLES.items():
-        i = [windows.state_names.index(channel)]
-        t, p = true[~lost][..., i], predicted[~lost][..., i]
-        values = dict.fromkeys(("enr", "bfr", "nrmse"), math.nan)
-        if len(t):
-            values = {"enr": metrics.enr(t, p)[0], "bfr": metrics.bfr(t, p)[0], "nrmse": metrics.nrmse(t, p, span=span[i])[0]}
-        rows.append({**labels, "angle": angle, **{k: float(v) for k, v in values.items()}, "windows": len(true), "diverged": int(lost.sum())})
+            horizon = (len(prediction) - 1) * dt
+            rows += [{"recording": name, "horizon": horizon, **row} for row in judge(recording, prediction[None])]
     return rows
 
 

@@ -12,13 +12,14 @@ import pandas as pd
 
 from tras import grid, validation
 from tras.choice import Choice, ChoiceError
+from tras.closed_loop import INPUTS
 from tras.dictionary import Exponentials, Fourier, Monomials
-from tras.effects import PAPER
 from tras.generator import LogarithmError
 from tras.mechanical import Mechanical
 from tras.model import KoopmanModel
 from tras.noise import add_noise
 from tras.radial import GaussianRBF
+from tras.readings import PAPER_NRMSE
 
 TRAJECTORY = 5.0  # s, pieces of the training recording
 TRAIN_FRACTION, SPLIT_SEED = 0.8, 0  # as in 02_identification
@@ -93,14 +94,20 @@ def explore(choice):
     with np.errstate(all="ignore"):  # the metrics count predictions that diverge
         predicted = {name: each.predict(fresh) for name, each in models.items()}
     metrics, growth, spectrum = [], [], []
+    range_over, every = grid.RANGES[choice.nrmse_range], max(1, fresh.states.shape[1] // 120)
     for name, each in models.items():
-        metrics += [{"model": name, **row} for row in validation.judge(fresh, predicted[name], range_over=choice.nrmse_range.replace("validation_set", "all"))]
-        growth.append(validation.growth_of(fresh, predicted[name], every=max(1, fresh.states.shape[1] // 120)).assign(model=name))
+        judged = validation.judge(fresh, predicted[name], range_over=range_over)
+        metrics += [{"model": name, **row} for row in judged]
+        growth.append(validation.error_growth(fresh, predicted[name], every=every).assign(model=name))
         spectrum.append(pd.DataFrame({"model": name, "real": each.eigenvalues.real, "imag": each.eigenvalues.imag}))
-    typical = validation.typical_of(fresh, predicted["Koopman"])
-    tables = (pd.DataFrame(metrics + _papers()), _overlay(fresh, predicted, typical))
-    tables += tuple(pd.concat(frames, ignore_index=True) for frames in (growth, spectrum))
-    return Outcome(choice, model, linear, *tables, fresh[typical], (*_remarks(model, metrics), *absent))
+    typical = validation.typical_window(fresh, predicted["Koopman"])
+    absent_states = np.full_like(fresh.states, np.nan)
+    runs = {name.lower(): predicted.get(name, absent_states)[typical] for name in ("Koopman", "linear")}
+    papers = [{"model": "paper", "angle": angle, "nrmse": nrmse} for angle, nrmse in PAPER_NRMSE.items()]
+    return Outcome(
+        choice, model, linear, pd.DataFrame(metrics + papers), validation.overlay(fresh[typical], runs),
+        pd.concat(growth, ignore_index=True), pd.concat(spectrum, ignore_index=True), fresh[typical], (*_remarks(model, metrics), *absent),
+    )
 
 
 def numbers(outcome):
@@ -121,7 +128,7 @@ def numbers(outcome):
     judged = outcome.metrics.query("angle == 'yaw' and windows > 0")
     rows["ran away"] = {row["model"]: f"{row['diverged']:g} of {row['windows']:g}" for _, row in judged.iterrows()}
     table = pd.DataFrame.from_dict(rows, orient="index").reindex(columns=["Koopman", "linear", "paper"]).fillna("")
-    table.loc[["NRMSE (%), yaw", "NRMSE (%), pitch"], "paper"] = [f"{value}" for value in PAPER]
+    table.loc[["NRMSE (%), yaw", "NRMSE (%), pitch"], "paper"] = [f"{value}" for value in PAPER_NRMSE.values()]
     return table
 
 
@@ -202,7 +209,7 @@ def unfitted(choice):
 
 
 def _channels(whole, choice):
-    return whole.select(states=grid.STATES[choice.state][0], inputs=grid.CHANNELS[choice.input])
+    return whole.select(states=grid.STATES[choice.state][0], inputs=INPUTS[choice.input])
 
 
 def _cut(whole, least, name, seconds):
@@ -235,20 +242,6 @@ def _functions(model, train):
     if isinstance(model.dictionary, GaussianRBF):
         return 1 + states + inputs + model.dictionary.n_centres
     return 0  # mechanical: its degree limits it
-
-
-def _overlay(fresh, predicted, index):
-    table = pd.DataFrame({"time": np.arange(fresh.states.shape[1]) * fresh.dt})
-    trajectories = {"true": fresh.states} | {name.lower(): states for name, states in predicted.items()}
-    for channel in validation.ANGLES.values():
-        i = fresh.state_names.index(channel)
-        for name in ("true", "koopman", "linear"):
-            table[f"{channel}_{name}"] = trajectories[name][index, :, i] if name in trajectories else np.nan
-    return table
-
-
-def _papers():
-    return [{"model": "paper", "angle": angle, "nrmse": nrmse} for angle, nrmse in zip(validation.ANGLES, PAPER)]
 
 
 def _remarks(model, rows):

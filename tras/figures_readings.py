@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tras.effects import PAPER
+from tras.effects import target
 from tras.figures import MODEL, new_figure, require, styled
 
 _CHOICES = {"frequency_unit": "frequencies", "nrmse_range": "range", "velocity_term": "velocity term"}
@@ -69,7 +69,8 @@ def nearest_figure(table, within):
         group = once[(once["input"] == key[0]) & (once["frequency_unit"] == key[1])]
         axes.plot(group["yaw"], group["pitch"], linestyle="none", label=f"{key[0]}, {key[1]}", markerfacecolor="none", markeredgewidth=0.7, **style)
     angle = np.linspace(0, 2 * np.pi, 200)
-    for (yaw, pitch), fill, names in ((PAPER, "black", "words"), (PAPER[::-1], "white", "symbols")):
+    for names, fill in (("words", "black"), ("symbols", "white")):
+        yaw, pitch = target(names)
         reach = np.sqrt(2) * within  # the distance is a mean over two angles
         axes.plot(yaw * np.exp(reach * np.cos(angle)), pitch * np.exp(reach * np.sin(angle)), color="0.4", linestyle=":", linewidth=0.8)
         star = {"marker": "*", "markersize": 9, "markerfacecolor": fill, "markeredgecolor": "black", "linestyle": "none", "zorder": 4}

@@ -18,7 +18,7 @@ import pandas as pd
 
 # Names one by one, never the package as a whole: the cache asks which modules these results depend on.
 from tras import cache, readings, stacked, validation
-from tras.closed_loop import REFERENCE_NAMES, simulate_closed_loop
+from tras.closed_loop import INPUTS, REFERENCE_NAMES, simulate_closed_loop
 from tras.dictionary import Exponentials, Monomials
 from tras.excitation import multisine
 from tras.generator import LogarithmError
@@ -28,8 +28,6 @@ from tras.radial import GaussianRBF
 from tras.recording import Recording, join
 from tras.study import compute, each
 
-MODEL = {"field": "least_squares", "regularization": None, "extrapolation": "functions"}  # as the paper does
-CHANNELS = {"reference": REFERENCE_NAMES, "torque": TORQUE_NAMES}
 STATES = {"four_states": (None, 0), "delayed_angles": (("phi", "psi"), 1)}  # channels, delays
 PLANTS = {"corrected": PlantParameters, "as_printed": PrintedPlant}
 FREQUENCY = {"rad/s": 1.0, "Hz": 2 * math.pi}  # factor to rad/s
@@ -160,7 +158,7 @@ def training(study, recording, point):
 
 def fit(point, recording):
     """The model of a point, from `training` data: (KoopmanModel, "model"), or (None, why there is none)."""
-    model = KoopmanModel(dictionary(point["dictionary"], point["draw"]), "vector_field", STATES[point["state"]][1], **MODEL)
+    model = KoopmanModel(dictionary(point["dictionary"], point["draw"]), "vector_field", STATES[point["state"]][1], **readings.PAPER_FIT)
     try:
         with np.errstate(all="ignore"):  # a fit that fails says so itself
             return model.fit(recording), "model"
@@ -202,7 +200,7 @@ def rows_of(windows, prediction, **labels):
 
 def select(recording, point):
     """The channels of a recording that a point knows."""
-    return recording.select(states=STATES[point["state"]][0], inputs=CHANNELS[point["input"]])
+    return recording.select(states=STATES[point["state"]][0], inputs=INPUTS[point["input"]])
 
 
 def judge_free_runs(point, fields, truths):

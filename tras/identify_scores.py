@@ -27,8 +27,8 @@ def compare(models, truth, train, latest):
     Returns
     -------
     table : pandas.DataFrame
-        ``state, prediction, one_step`` (NRMSE over one sample, %), ``nrmse`` (%), ``bfr`` (%), ``enr`` (fraction),
-        ``windows, diverged``. Windows that diverged are left out of the metrics; NaN where a state does not move.
+        ``state, prediction, one_step`` (NRMSE over one sample, %), ``nrmse, bfr`` (%), ``enr`` (fraction), ``windows,
+        diverged``. Windows and single steps that diverged are left out of the metrics; NaN where a state does not move.
     runs : dict of str to list of (samples_i, n)
         The predictions.
     """
@@ -36,18 +36,13 @@ def compare(models, truth, train, latest):
     mean = np.concatenate([x for x, _ in train]).mean(axis=0)
     runs = {name: roll_outs(model, starts, latest) for name, (model, starts) in models.items()}
     runs |= {HELD: [np.repeat(x[:1], len(x), axis=0) for x in true], CONSTANT: [np.repeat(mean[None], len(x), axis=0) for x in true]}
-    single = {name: _one_step(model, starts, truth) for name, (model, starts) in models.items()}
-    span = np.ptp(np.concatenate(true), axis=0)
-    rows = []
+    parts = []
     for name, run in runs.items():
-        lost = metrics.diverged(true, run)
-        kept = [k for k in range(len(true)) if not lost[k]]
-        values = _metrics([true[k] for k in kept], [run[k] for k in kept], span) if kept else np.full((3, truth.n), np.nan)
-        for i, state in enumerate(truth.state_names):
-            one = single[name][i] if name in single else np.nan
-            about = dict(zip(("nrmse", "bfr", "enr"), values[:, i]))
-            rows.append({"state": state, "prediction": name, "one_step": one, **about, "windows": len(true), "diverged": int(lost.sum())})
-    return pd.DataFrame(rows), runs
+        scores = metrics.judge(true, run)
+        one_step = _one_step(*models[name], truth) if name in models else np.nan
+        values = {name: getattr(scores, name) for name in ("nrmse", "bfr", "enr", "windows", "diverged")}
+        parts.append(pd.DataFrame({"state": truth.state_names, "prediction": name, "one_step": one_step, **values}))
+    return pd.concat(parts, ignore_index=True), runs
 
 
 def growth(runs, truth, latest):
@@ -55,10 +50,8 @@ def growth(runs, truth, latest):
 
     Over all states in percent of their ranges, and over the windows of full length that did not diverge.
     """
-    true = [x[latest:] for x, _ in truth]
-    longest = max(map(len, true))
-    full = [k for k, x in enumerate(true) if len(x) == longest]
-    span = _moving(np.ptp(np.concatenate(true), axis=0))
+    true, full, span = _full(truth, latest)
+    longest = len(true[full[0]])
     table = {"time": np.arange(1, longest) * truth.dt}
     for name, run in runs.items():
         lost = metrics.diverged(true, run)
@@ -68,15 +61,20 @@ def growth(runs, truth, latest):
 
 
 def typical_and_worst(run, truth, latest):
-    """Indices of the windows of full length with the median and with the largest error, diverged ones included."""
-    true = [x[latest:] for x, _ in truth]
-    longest = max(map(len, true))
-    full = [k for k, x in enumerate(true) if len(x) == longest]
-    span = _moving(np.ptp(np.concatenate(true), axis=0))
+    """Indices of two windows of full length: the one with the median error, and the one with the largest, diverged ones included."""
+    true, full, span = _full(truth, latest)
     moving = np.isfinite(span)
     error = np.array([np.nan_to_num(np.mean(((run[k] - true[k]) / span)[:, moving] ** 2), nan=np.inf) for k in full])
     order = np.argsort(error, kind="stable")
     return full[order[(len(order) - 1) // 2]], full[order[-1]]
+
+
+def _full(truth, latest):
+    """All windows from the sample ``latest`` on, the numbers of those of full length, the ranges of the states."""
+    true = [x[latest:] for x, _ in truth]
+    longest = max(map(len, true))
+    full = [k for k, x in enumerate(true) if len(x) == longest]
+    return true, full, metrics.divisor(np.ptp(np.concatenate(true), axis=0))
 
 
 def _one_step(model, starts, truth):
@@ -86,20 +84,6 @@ def _one_step(model, starts, truth):
     cut = cut[:: max(1, len(cut) // _ONE_STEP)]
     pieces = starts.with_data([s for s, _, _ in cut], [u for _, u, _ in cut])
     with np.errstate(over="ignore", invalid="ignore"):
-        predicted = np.asarray(model.predict(pieces))[:, -1]
-    error = predicted - np.array([x for *_, x in cut])
-    return 100 * np.sqrt(np.mean(error**2, axis=0)) / _moving(np.ptp(np.concatenate([x for x, _ in truth]), axis=0))
-
-
-def _metrics(true, run, span):
-    """NRMSE (%), BFR (%) and Enr of each state, (3, n); NaN for one that does not move."""
-    true, run = np.concatenate(true), np.concatenate(run)
-    error = np.linalg.norm(true - run, axis=0)
-    size, spread = np.linalg.norm(true, axis=0), np.linalg.norm(true - true.mean(axis=0), axis=0)
-    nrmse = 100 * error / np.sqrt(len(true)) / _moving(span)
-    return np.stack([nrmse, 100 * np.maximum(1 - error / _moving(spread), 0), error / _moving(size)])
-
-
-def _moving(span):
-    """A range to divide by: NaN where there is none."""
-    return np.where(span > 0, span, np.nan)
+        predicted = np.asarray(model.predict(pieces))[:, -1:]
+    span = np.ptp(np.concatenate([x for x, _ in truth]), axis=0)
+    return metrics.judge(np.array([[x] for *_, x in cut]), predicted, span=span).nrmse

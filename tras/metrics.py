@@ -1,12 +1,64 @@
-"""How far a prediction is from the truth: Enr (19), BFR (20), NRMSE (21), divergence.
+"""How far a prediction is from the truth: Enr (19), BFR (20), NRMSE (21), divergence; `judge` gives all of them.
 
 Every function takes truth and prediction of shape (..., samples, n), or two lists of (samples_i, n) when lengths differ, and
-returns one value a channel, over all trajectories and samples together. None averages over a diverged prediction without
-a word: find those with `diverged` and count them. Shapes that differ, no trajectory at all, and NaN or infinity in the truth
-are a ValueError.
+returns one value per channel, over all trajectories and samples together. Only `judge` leaves diverged predictions out,
+and counts them. Shapes that differ, no trajectory at all, and NaN or infinity in the truth are a ValueError.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
+
+
+@dataclass(frozen=True)
+class Scores:
+    """How well trajectories are predicted; from `judge`.
+
+    Attributes
+    ----------
+    enr, bfr, nrmse : (channels,) ndarray
+        Over the trajectories that did not diverge; NaN if all did, or where the truth is zero (``enr``) or constant.
+    windows, diverged : int
+        How many trajectories there are, and how many of them diverged.
+    """
+
+    enr: np.ndarray
+    bfr: np.ndarray
+    nrmse: np.ndarray
+    windows: int
+    diverged: int
+
+
+def judge(true, predicted, *, span=None, channels=None, range_over="all"):
+    """The `Scores` of predicted trajectories: diverged ones are counted and left out of the metrics.
+
+    Parameters
+    ----------
+    true, predicted : array_like
+    span : (n,) array_like, optional
+        The range that NRMSE and divergence refer to. Default: that of all trajectories, diverged ones too, so that
+        losing some does not change it.
+    channels : list of int, optional
+        Those to score; default all. A trajectory has diverged if it did so in any channel.
+    range_over : {"all", "trajectory"}
+        As for `nrmse`.
+    """
+    true, predicted = _pair(true, predicted)
+    span = np.ptp(np.concatenate(true), axis=0) if span is None else _span(span, true)
+    lost = diverged(true, predicted, span=span)
+    channels = slice(None) if channels is None else channels
+    kept = [(t[:, channels], p[:, channels]) for t, p, gone in zip(true, predicted, lost) if not gone]
+    if not kept:
+        none = np.full_like(span[channels], np.nan)
+        return Scores(none, none, none, len(lost), len(lost))
+    true, predicted = zip(*kept)
+    error, size, spread = _norms(true, predicted)
+    if range_over == "all":
+        normalized = _percent(np.concatenate(true) - np.concatenate(predicted), divisor(span[channels]))
+    else:
+        normalized = nrmse(true, predicted, range_over=range_over)
+    fit = 100 * np.maximum(1 - error / divisor(spread), 0)
+    return Scores(error / divisor(size), fit, normalized, len(lost), int(lost.sum()))
 
 
 def enr(true, predicted):
@@ -17,8 +69,8 @@ def enr(true, predicted):
     >>> float(enr([[3.0], [4.0]], [[3.0], [3.0]])[0])
     0.2
     """
-    true, predicted = map(np.concatenate, _pair(true, predicted))
-    return np.linalg.norm(true - predicted, axis=0) / _positive(np.linalg.norm(true, axis=0), "the truth is zero throughout")
+    error, size, _ = _norms(*_pair(true, predicted))
+    return error / _positive(size, "the truth is zero throughout")
 
 
 def bfr(true, predicted):
@@ -26,9 +78,8 @@ def bfr(true, predicted):
 
     The paper prints it without "1 -"; as printed a worse model would score higher.
     """
-    true, predicted = map(np.concatenate, _pair(true, predicted))
-    spread = _positive(np.linalg.norm(true - true.mean(axis=0), axis=0), "the truth is constant")
-    return 100 * np.maximum(1 - np.linalg.norm(true - predicted, axis=0) / spread, 0)
+    error, _, spread = _norms(*_pair(true, predicted))
+    return 100 * np.maximum(1 - error / _positive(spread, "the truth is constant"), 0)
 
 
 def nrmse(true, predicted, *, range_over="all", span=None):
@@ -49,7 +100,7 @@ def nrmse(true, predicted, *, range_over="all", span=None):
             span = _positive(np.ptp(np.concatenate(true), axis=0), "the truth is constant")
         else:
             span = _positive(_span(span, true), "the span is zero")
-        return 100 * np.sqrt(np.mean((np.concatenate(true) - np.concatenate(predicted)) ** 2, axis=0)) / span
+        return _percent(np.concatenate(true) - np.concatenate(predicted), span)
     if range_over != "trajectory":
         raise ValueError(f"range_over is {range_over!r}; choose 'all' or 'trajectory'.")
     if span is not None:
@@ -71,8 +122,23 @@ def diverged(true, predicted, *, factor=10.0, span=None):
     span = np.ptp(together, axis=0) if span is None else _span(span, true)
     size = np.abs(together).max(axis=0)
     limit = factor * np.where(span > 0, span, np.where(size > 0, size, 1.0))
-    # Written so that NaN counts as diverged.
-    return np.array([not np.all(np.abs(t - p) <= limit) for t, p in zip(true, predicted)])
+    inside = np.all(np.abs(together - np.concatenate(predicted)) <= limit, axis=1)  # False for NaN
+    return ~np.logical_and.reduceat(inside, np.cumsum([0, *map(len, true[:-1])]))
+
+
+def divisor(scale):
+    """The scale itself, to divide by: NaN where it is zero, so that nothing is related to nothing."""
+    return np.where(scale > 0, scale, np.nan)
+
+
+def _norms(true, predicted):
+    """Norms of the error, of the truth and of its distance from its mean, each (n,), over all samples."""
+    true, predicted = np.concatenate(true), np.concatenate(predicted)
+    return [np.linalg.norm(values, axis=0) for values in (true - predicted, true, true - true.mean(axis=0))]
+
+
+def _percent(error, span):
+    return 100 * np.sqrt(np.mean(error**2, axis=0)) / span
 
 
 def _trajectories(name, values):
@@ -100,10 +166,11 @@ def _pair(true, predicted):
     shapes = [t.shape for t in true], [p.shape for p in predicted]
     if shapes[0] != shapes[1]:
         raise ValueError(f"true and predicted have different shapes ({_some(shapes[0])} and {_some(shapes[1])}); compare like with like.")
-    for i, t in enumerate(true):
-        if not np.isfinite(t).all():
-            sample, channel = np.argwhere(~np.isfinite(t))[0]
-            raise ValueError(f"true is {t[sample, channel]} in trajectory {i} at sample {sample}, channel {channel}; leave that out.")
+    if not np.isfinite(np.concatenate(true)).all():
+        i, t = next((i, t) for i, t in enumerate(true) if not np.isfinite(t).all())
+        sample, channel = np.argwhere(~np.isfinite(t))[0]
+        where = f"in trajectory {i} at sample {sample}, channel {channel}"
+        raise ValueError(f"true is {t[sample, channel]} {where}; leave that out.")
     return true, predicted
 
 

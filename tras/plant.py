@@ -13,6 +13,7 @@ import numpy as np
 
 STATE_NAMES = ("phi", "phidot", "psi", "psidot")
 STATE_UNITS = ("rad", "rad/s", "rad", "rad/s")
+STATE_PAIRS = (("phi", "phidot"), ("psi", "psidot"))  # an angle and its rate
 TORQUE_NAMES = ("u_phi", "u_psi")
 TORQUE_UNITS = ("N m", "N m")
 LUMPED = ("J", "J_psi0", "J_phi", "G_c", "G_s", "C_phi", "C_psi", "K_psi")

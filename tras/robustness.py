@@ -18,13 +18,12 @@ from tras.mechanical import Mechanical
 from tras.model import KoopmanModel
 from tras.noise import add_noise
 from tras.physics import lumped_parameters
-from tras.plant import TORQUE_NAMES, PlantParameters
+from tras.plant import STATE_PAIRS, TORQUE_NAMES, PlantParameters
 from tras.recording import Recording
 from tras.refinement import refine
 from tras.smoothing import smooth
 from tras.study import each
 
-PAIRS = [("phi", "phidot"), ("psi", "psidot")]  # an angle and its rate
 DICTIONARIES = {
     "linear": Monomials(1),
     "monomials2": Monomials(2),
@@ -53,7 +52,7 @@ def identify(recording, samples, method, smoothed=None, segment=None):
         Length of the trajectories into which it is cut for the fit.
     method : str
     smoothed : Recording, optional
-        ``smooth(recording, PAIRS)``, if it is at hand.
+        ``smooth(recording, STATE_PAIRS)``, if it is at hand.
     segment : int, optional
         As for `tras.refine`.
     """
@@ -61,7 +60,7 @@ def identify(recording, samples, method, smoothed=None, segment=None):
         return KoopmanModel(Mechanical(6), regularization=None, extrapolation="functions").fit(recording.cut(samples))
     if method == "default":
         return KoopmanModel(Mechanical(6)).fit(recording.cut(samples))
-    smoothed = smooth(recording, PAIRS) if smoothed is None else smoothed
+    smoothed = smooth(recording, STATE_PAIRS) if smoothed is None else smoothed
     model = KoopmanModel(Mechanical(6)).fit(smoothed.cut(samples))
     return model if method == "smoothed" else refine(model, recording, segment=segment)
 
@@ -111,7 +110,7 @@ def noise_study(train, fresh, levels, seeds, samples, window, *, methods=METHODS
 def _noise_case(train, fresh, samples, window, segment, level, seed, methods):
     """Rows, models, and the pair of recordings as measured and smoothed."""
     recording = noisy(train, level, seed)
-    smoothed = smooth(recording, PAIRS) if level else recording
+    smoothed = smooth(recording, STATE_PAIRS) if level else recording
     rows, models = [], {}
     for method in methods:
         case = {"noise": level, "seed": seed, "method": method}

@@ -51,11 +51,10 @@ def _beyond(model):
 
 
 def _prediction(model, recording):
-    true, predicted = recording.states, model.predict(recording)
-    lost = metrics.diverged(true, predicted)
     short = recording.cut(model.delays + 2)
-    one = metrics.nrmse(short.states[:, -1:], np.asarray(model.predict(short))[:, -1:])
-    kept = [i for i in range(len(recording)) if not lost[i]]
-    many = metrics.nrmse([true[i] for i in kept], [predicted[i] for i in kept]) if kept else np.full(len(one), np.nan)
-    both = ", ".join(f"{name} {a:.3g} and {b:.3g} %" for name, a, b in zip(model.state_names_, one, many))
-    return [f"one-step and multi-step NRMSE: {both}", f"diverged: {lost.sum()} of {len(lost)} trajectories"]
+    one = metrics.judge(short.states[:, -1:], np.asarray(model.predict(short))[:, -1:])
+    many = metrics.judge(recording.states, model.predict(recording))
+    both = ", ".join(f"{name} {a:.3g} and {b:.3g} %" for name, a, b in zip(model.state_names_, one.nrmse, many.nrmse))
+    steps = f", {one.diverged} of {one.windows} single steps" if one.diverged else ""
+    lost = f"{many.diverged} of {many.windows} trajectories{steps}"
+    return [f"one-step and multi-step NRMSE: {both}", f"diverged: {lost}"]

@@ -63,12 +63,11 @@ def evaluate(data, latest, point):
     except (ValueError, np.linalg.LinAlgError) as error:
         return {"outcome": f"no model: {' '.join(str(error).split())}"}
     span = np.ptp(held.states, axis=(0, 1))
-    lost = metrics.diverged(true, predicted, span=span)
-    kept = metrics.nrmse(true[~lost], predicted[~lost], span=span) if not lost.all() else np.full(held.n, np.nan)
+    scores = metrics.judge(true, predicted, span=span)
     return {
         "outcome": "model", "functions": len(model.names_), "pairs": int(model.pairs_), "condition": float(model.condition_number),
-        "strength_used": float(model.strength_), "error": search.relative_error(true, predicted, span / 2), "nrmse": kept.tolist(),
-        "windows": len(held), "diverged": int(lost.sum()),
+        "strength_used": float(model.strength_), "error": search.relative_error(true, predicted, span / 2),
+        "nrmse": scores.nrmse.tolist(), "windows": scores.windows, "diverged": scores.diverged,
     }  # fmt: skip
 
 

@@ -15,7 +15,6 @@ from tras.files import between, replacing
 
 # No pandas at the top: printing the table is all that `make all` does when nothing has changed.
 
-PAPER_NRMSE = {"yaw": 4.0589, "pitch": 5.5889}  # percent, paper, Sec. III
 COLUMNS = {  # (input, model) -> heading
     ("paper", "paper"): "paper",
     ("reference", "gaussian"): "input = reference, paper's dictionary",
@@ -46,6 +45,8 @@ def comparison(metrics, identification):
         paper's own numbers have the input ``paper``; the condition number of the liftings the kind ``fit``.
     """
     import pandas as pd
+
+    from tras.readings import PAPER_NRMSE
 
     chosen = metrics[metrics["recording"].str.startswith("multisine")].set_index(["kind", "input", "model", "angle"]).sort_index()
     condition = identification.set_index(["input", "model"])["condition"]

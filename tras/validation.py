@@ -57,7 +57,7 @@ def score_together(models, recordings, seconds, *, range_over="all"):
         found = stacked.predict([models[i] for i in group], [join(windows[i].values()) for i in group])
         for i, prediction in zip(group, found):
             predicted[i] = prediction
-    return [_judged(*pair, seconds, range_over) for pair in zip(windows, predicted)]
+    return [_table(*pair, seconds, range_over) for pair in zip(windows, predicted)]
 
 
 def _windows(recordings, seconds):
@@ -68,7 +68,7 @@ def _windows(recordings, seconds):
     return windows
 
 
-def _judged(windows, predicted, seconds, range_over):
+def _table(windows, predicted, seconds, range_over):
     """The table of `score` for windows by recording and all predictions in their order."""
     rows = []
     for (name, window), prediction in zip(windows.items(), np.split(predicted, np.cumsum([len(w) for w in windows.values()])[:-1])):
@@ -78,32 +78,29 @@ def _judged(windows, predicted, seconds, range_over):
     return pd.DataFrame(rows)
 
 
-def judge(windows, predicted, *, range_over="all"):
+def judge(windows, predicted, *, range_over="all", samples=slice(None)):
     """The metrics of both angles over windows of one recording and their predictions (windows, samples, n); see `score`.
+
+    With ``samples`` these alone count; the range is still that of the whole windows.
 
     Returns
     -------
     list of dict
-        One an angle: ``angle, enr, bfr, nrmse, windows, diverged``.
+        One per angle: ``angle, enr, bfr, nrmse, windows, diverged``.
     """
-    true = windows.states
-    span = np.ptp(true, axis=(0, 1))
-    lost = metrics.diverged(true, predicted, span=span)
+    true, predicted = windows.states[:, samples], predicted[:, samples]
+    span = np.ptp(windows.states, axis=(0, 1))
     rows = []
-    for angle, channel in ANGLES.items():
+    for angle, i in _columns(windows, span).items():
         with _named(angle):
-            i = [_index(windows, channel, span)]
-            t, p = true[~lost][..., i], predicted[~lost][..., i]
-            values = dict.fromkeys(("enr", "bfr", "nrmse"), np.nan)
-            if len(t):
-                nrmse = metrics.nrmse(t, p, range_over=range_over, span=span[i] if range_over == "all" else None)
-                values = {"enr": metrics.enr(t, p)[0], "bfr": metrics.bfr(t, p)[0], "nrmse": nrmse[0]}
-        rows.append({"angle": angle, **values, "windows": len(windows), "diverged": int(lost.sum())})
+            scores = metrics.judge(true, predicted, span=span, channels=[i], range_over=range_over)
+        values = {name: float(getattr(scores, name)[0]) for name in ("enr", "bfr", "nrmse")}
+        rows.append({"angle": angle, **values, "windows": scores.windows, "diverged": scores.diverged})
     return rows
 
 
-def error_growth(model, recording, seconds, *, every=1):
-    """Root mean square error at each instant after the start of the windows, in percent of the truth's range.
+def error_growth(windows, predicted, *, every=1):
+    """Root mean square error at each instant after the start, in percent of the range; arguments as for `judge`.
 
     Returns
     -------
@@ -111,67 +108,47 @@ def error_growth(model, recording, seconds, *, every=1):
         Columns ``time`` (s), ``angle, nrmse``; every ``every``-th sample, without the first, whose error is zero. Diverged windows
         are left out; NaN if all are. The range is that of all windows.
     """
-    windows = recording.cut(round(seconds / recording.dt) + 1)
-    return growth_of(windows, model.predict(windows), every=every)
-
-
-def growth_of(windows, predicted, *, every=1):
-    """As `error_growth`, of windows and their predictions (windows, samples, n)."""
     true = windows.states
     span = np.ptp(true, axis=(0, 1))
     kept = ~metrics.diverged(true, predicted, span=span)
     times = np.arange(every, true.shape[1], every)
     parts = []
-    for angle, channel in ANGLES.items():
-        with _named(angle):
-            i = _index(windows, channel, span)
+    for angle, i in _columns(windows, span).items():
         error = true[kept][:, times, i] - predicted[kept][:, times, i]
         rms = 100 * np.sqrt(np.mean(error**2, axis=0)) / span[i] if kept.any() else np.full(len(times), np.nan)
         parts.append(pd.DataFrame({"time": times * windows.dt, "angle": angle, "nrmse": rms}))
     return pd.concat(parts, ignore_index=True)
 
 
-def typical_window(model, recording, seconds):
+def typical_window(windows, predicted):
     """Index of the window whose mean NRMSE of the two angles is the median one: neither the best picture nor the worst."""
-    windows = recording.cut(round(seconds / recording.dt) + 1)
-    return typical_of(windows, model.predict(windows))
-
-
-def typical_of(windows, predicted):
-    """As `typical_window`, of windows and their predictions (windows, samples, n)."""
-    i, span = [], np.ptp(windows.states, axis=(0, 1))
-    for angle, channel in ANGLES.items():
-        with _named(angle):
-            i.append(_index(windows, channel, span))
+    span = np.ptp(windows.states, axis=(0, 1))
+    i = [*_columns(windows, span).values()]
     true, predicted = windows.states[..., i], predicted[..., i]
     error = np.sqrt(np.mean((true - predicted) ** 2, axis=1)) / span[i]
     error = np.nan_to_num(error.mean(axis=1), nan=np.inf)
     return int(np.argsort(error, kind="stable")[(len(error) - 1) // 2])
 
 
-def overlay(models, recording, seconds, index):
+def overlay(window, predicted):
     """Truth and predictions over one window, as the table behind Fig. 3.
 
     Parameters
     ----------
-    models : dict of str to KoopmanModel
-    recording : Recording
-    seconds : float
-    index : int
-        Which window.
+    window : Recording
+        Of one trajectory.
+    predicted : dict of str to (samples, n) ndarray
 
     Returns
     -------
     pandas.DataFrame
-        ``time`` (s) and, in rad, ``phi_true, psi_true`` and ``phi_NAME, psi_NAME`` for each model.
+        ``time`` (s) and, in rad, ``phi_true, psi_true`` and ``phi_NAME, psi_NAME`` for each prediction.
     """
-    window = recording.cut(round(seconds / recording.dt) + 1)[index]
     table = pd.DataFrame({"time": np.arange(window.lengths[0]) * window.dt})
     for channel in ANGLES.values():
         i = window.state_names.index(channel)
-        table[f"{channel}_true"] = window.states[0, :, i]
-        for name, model in models.items():
-            table[f"{channel}_{name}"] = model.predict(window)[0, :, i]
+        for name, states in ({"true": window.states[0]} | predicted).items():
+            table[f"{channel}_{name}"] = states[:, i]
     return table
 
 
@@ -184,11 +161,14 @@ def _named(place):
         raise ValueError(f"{place}: {error}") from error
 
 
-def _index(windows, channel, span):
-    """Number of the state ``channel``, which must be there and move."""
-    if channel not in windows.state_names:
-        raise ValueError(f"there is no state {channel!r}; there are {', '.join(windows.state_names)}.")
-    i = windows.state_names.index(channel)
-    if span[i] == 0:
-        raise ValueError(f"the truth {channel} is constant, so there is no range to relate the error to; use a recording in which it moves.")
-    return i
+def _columns(windows, span):
+    """Angle -> number of its state, which must be there and move."""
+    columns = {}
+    for angle, channel in ANGLES.items():
+        if channel not in windows.state_names:
+            raise ValueError(f"{angle}: there is no state {channel!r}; there are {', '.join(windows.state_names)}.")
+        i = columns[angle] = windows.state_names.index(channel)
+        if span[i] == 0:
+            reason = "so there is no range to relate the error to; use a recording in which it moves."
+            raise ValueError(f"{angle}: the truth {channel} is constant, {reason}")
+    return columns
