@@ -2,15 +2,9 @@
 
 What counts, decided before looking: a number of the paper is met when it lies within the range over our seeds, 10 % wider on each side; "low" means an
 error to norm ratio of at most 0.1, "high" a best fit ratio of at least 90 %, "superior" an error at least 5 % smaller in both angles, for every seed.
-
-``python -m tras.claims data/claims.csv`` prints the table; with ``--readme README.md`` writes it there.
 """
 
-import argparse
-import csv
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 
@@ -19,7 +13,6 @@ from tras import files
 REPRODUCED, NAMED, NOT, UNCHECKABLE = VERDICTS = (
     "reproduced", "reproduced only under a named reading", "not reproduced", "not checkable",
 )  # fmt: skip
-BEGIN, END = "<!-- claims: written by `make readme` -->", "<!-- end of claims -->"
 COLUMNS = ("claim", "statement", "verdict", "quantity", "value", "low", "high", "reading", "evidence", "figure", "command")
 WIDER, LOW_ENR, HIGH_BFR, BETTER = 1.1, 0.1, 90.0, 0.95
 OWN, LINEAR, BOUND = "Koopman, the paper's", ("DMDc", "N4SID"), "grey box"  # methods of 07_comparison
@@ -279,40 +272,17 @@ def _linearised(model, x, u, step=1e-4):
 
 
 def markdown(rows):
-    """The claims as Markdown: rows as dictionaries or from `read`."""
-    lines = [("", "the paper says", "verdict", "evidence"), ("---",) * 4]
+    """The claims as Markdown, from the rows of ``claims.csv`` as dictionaries."""
+    lines = [("", "the paper says", "verdict", "evidence")]
     for row in rows:
         verdict = row["verdict"] + (f": {row['reading']}" if row["verdict"] == NAMED else "")
         lines.append((row["claim"], row["statement"], f"**{verdict}**", row["evidence"] + "."))
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return files.markdown_table(lines)
 
 
-def read(path):
-    """Rows of ``claims.csv`` as dictionaries of text."""
-    with open(path, newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
-def main(arguments=None):
-    """Command line; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m tras.claims", description="Print the paper's claims with verdicts, or write them into the README.")
-    parser.add_argument("claims", type=Path, help="data/claims.csv, made by the notebook 08_claims")
-    parser.add_argument("--readme", type=Path, help="write the table into this file, between its markers")
-    options = parser.parse_args(arguments)
-    for path in filter(None, (options.claims, options.readme)):
-        if not path.is_file():
-            print(f"{path} does not exist; `make all` makes the claims.", file=sys.stderr)
-            return 2
-    rows = read(options.claims)
-    if not options.readme:
-        print("\n".join(f"{row['claim']:>3}  {row['verdict']}  {row['statement']}" for row in rows))
-        return 0
-    try:
-        files.write_between(options.readme, BEGIN, END, markdown(rows))
-    except (OSError, ValueError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
+def text(rows):
+    """The verdicts for a terminal, one line per claim."""
+    return "\n".join(f"{row['claim']:>3}  {row['verdict']}  {row['statement']}" for row in rows)
 
 
 # ------------------------------------------------------------------------------------------------------------------------- parts
@@ -346,7 +316,3 @@ def _range(row, angle):
     if row is None:
         return "without a number"
     return f"{row[angle]:.3g} % ({row[f'{angle}_lowest']:.3g} to {row[f'{angle}_highest']:.3g})"
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,20 +1,12 @@
-"""The paper's errors and our repairs, each with a computation that shows the error: `table` computes all of them, nothing is typed.
+"""The paper's errors and our repairs, each with a computation that shows the error: `table` computes all of them, nothing is typed."""
 
-``python -m tras.errata docs/paper.md`` writes the table into that page, between its markers.
-"""
-
-import argparse
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from tras import files
 from tras.plant import PlantParameters, PrintedPlant, rest_point, simulate_plant, vector_field
-
-BEGIN, END = "<!-- errors: written by `make readme` -->", "<!-- end of errors -->"
 
 
 def _below(value):
@@ -199,24 +191,7 @@ def table():
     return pd.DataFrame(rows, columns=["printed", "here", "why", "evidence", "shown"])
 
 
-def markdown(errors):
-    """The table as Markdown."""
-    rows = [("as printed", "here", "why", "shown by computing"), ("---",) * 4, *errors[["printed", "here", "why", "evidence"]].itertuples(index=False)]
-    return "\n".join("| " + " | ".join(row) + " |" for row in rows)
-
-
-def main(arguments=None):
-    """Command line; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m tras.errata", description="Compute what shows the paper's errors and write it into a page.")
-    parser.add_argument("page", type=Path, help="a Markdown file with the two markers, such as docs/paper.md")
-    page = parser.parse_args(arguments).page
-    try:
-        files.write_between(page, BEGIN, END, markdown(table()))
-    except (OSError, ValueError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def markdown(errors=None):
+    """The table as Markdown, computed now if it is not at hand."""
+    errors = table() if errors is None else errors
+    return files.markdown_table([("as printed", "here", "why", "shown by computing"), *errors[["printed", "here", "why", "evidence"]].itertuples(index=False)])

@@ -12,6 +12,7 @@ from tras import figures_identify, page
 from tras.examples import example
 from tras.export import identifier
 from tras.figures import save_figure
+from tras.files import umask
 from tras.identify_page import write_page
 from tras.recording import Recording
 
@@ -188,7 +189,7 @@ def _move(stage, folder):
     """Everything of ``stage`` into ``folder``; what an earlier run listed there and this one does not make goes."""
     new = {path.relative_to(stage) for path in stage.rglob("*") if path.is_file()}
     if not folder.exists():
-        stage.chmod(0o777 & ~_umask())  # mkdtemp is private; a result is not
+        stage.chmod(0o777 & ~umask())  # mkdtemp is private; a result is not
         os.replace(stage, folder)
         return
     old = _listed(folder)
@@ -208,9 +209,3 @@ def _listed(folder):
         return set()
     paths = {PurePosixPath(name) for name in names}
     return {Path(path) for path in paths if not path.is_absolute() and ".." not in path.parts and str(path) != LISTING}
-
-
-def _umask():
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

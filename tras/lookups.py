@@ -1,8 +1,9 @@
-"""Numbers for a text, looked up in the tables: ``{{ FILE: WHAT where COLUMN=VALUE, COLUMN=VALUE | FORMAT }}``.
+"""Numbers for a text, looked up in the tables: Jinja expressions between ``{{`` and ``}}``, each with a blank on both sides.
 
-``FILE`` is ``data/NAME.csv`` or ``figures/NAME.csv``; ``WHAT`` a column, of which just one row must be chosen, or min, max, median, mean, sum, count
-or largest (in size) of one, like ``median(nrmse)``; ``FORMAT`` is Python's.
-``STAGE: NAME`` is a parameter that this stage ran with, ``claims: NAME`` a limit of `tras.claims`.
+``value(FILE, WHAT, COLUMN=VALUE, ...)`` looks into ``data/NAME.csv`` or ``figures/NAME.csv``. ``WHAT`` is a column, of which
+the choices must leave one row, or the min, max, median, mean, sum, count or largest (in size) of one, like ``median(nrmse)``.
+``parameter(STAGE, NAME)`` is a parameter that this stage ran with, ``claims.NAME`` a limit of `tras.claims`;
+``| number(FORMAT)`` formats any of them as Python does.
 """
 
 import functools
@@ -12,9 +13,12 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
+import jinja2
+from jinja2.sandbox import SandboxedEnvironment
+
 from tras import claims
 
-_LOOKUP = re.compile(r"(?P<file>[^:]+): (?P<what>.+?)(?: where (?P<where>.+?))?(?: \| (?P<format>\S+))?")
+_LIMITS = {name: limit for name, limit in vars(claims).items() if name.isupper()}
 
 
 class Lacking(ValueError):
@@ -42,13 +46,13 @@ class Sources(NamedTuple):
         return path
 
 
-def look_up(text, sources):
-    """The number that ``text`` asks for, as text.
+def render(text, sources):
+    """``text`` with every lookup replaced by its number, which no Markdown in a table can break out of.
 
     Parameters
     ----------
     text : str
-        For example ``data/metrics.csv: max(nrmse) where angle=yaw, kind=window | .3g``.
+        For example ``{{ value("data/metrics.csv", "max(nrmse)", angle="yaw", kind="window") | number(".3g") }} %``.
     sources : Sources
 
     Raises
@@ -56,21 +60,22 @@ def look_up(text, sources):
     Lacking
         If the file, the column, the row or the parameter is not there.
     ValueError
-        If the text is not understood, or the file is damaged.
+        If a lookup is not understood, or the file is damaged.
     """
-    match = _LOOKUP.fullmatch(text)
-    if not match:
-        raise ValueError(f"{{{{ {text} }}}} is not understood: write FILE: WHAT where COLUMN=VALUE | FORMAT.")
-    name, what, spec = match["file"], match["what"], match["format"] or "g"
-    if name == "claims":
-        return number(getattr(claims, what), spec)
-    if "/" not in name:
-        recorded = record(sources.path(f"build/{name}.json")).get("parameters", {})
-        if what not in recorded:
-            raise Lacking(f"{name} has no parameter `{what}`.")
-        return number(recorded[what], spec)
-    where = dict(pair.split("=", 1) for pair in (match["where"] or "").split(", ") if pair)
-    return number(_total(_chosen(frame(name, sources), where, name), what, name), spec)
+
+    def value(name, what, **where):
+        return _total(_chosen(frame(name, sources), where, name), what, name)
+
+    def parameter(stage, name):
+        recorded = record(sources.path(f"build/{stage}.json")).get("parameters", {})
+        if name not in recorded:
+            raise Lacking(f"{stage} has no parameter `{name}`.")
+        return recorded[name]
+
+    try:
+        return _ENVIRONMENT.from_string(text).render(value=value, parameter=parameter, claims=_LIMITS)
+    except (jinja2.TemplateError, TypeError) as error:
+        raise ValueError(f"a lookup is not understood ({error}): write {{{{ value(FILE, WHAT, COLUMN=VALUE) | number(FORMAT) }}}}.") from None
 
 
 def number(value, spec="g"):
@@ -86,6 +91,17 @@ def number(value, spec="g"):
     if value is None or math.isnan(value):
         return "–"
     return format(int(value), "d") if spec == "d" else format(value, spec).rstrip(".")
+
+
+# LaTeX writes `{{` too, but no blank behind it; a text holds neither statements nor comments.
+_ENVIRONMENT = SandboxedEnvironment(
+    variable_start_string="{{ ",
+    variable_end_string=" }}",
+    undefined=jinja2.StrictUndefined,
+    finalize=lambda value: re.sub(r"([\\`*_{}\[\]<>#$|~])", r"\\\1", number(value)),
+    keep_trailing_newline=True,
+)
+_ENVIRONMENT.filters["number"] = number
 
 
 def record(path):

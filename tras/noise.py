@@ -7,6 +7,7 @@ before they are lifted; `tras.refine` then fits whole trajectories, as measured,
 
 import numpy as np
 
+from tras import arguments
 from tras.recording import join
 
 
@@ -36,8 +37,7 @@ def add_noise(recording, level, rng):
     fraction = np.asarray(level, dtype=float)
     if fraction.shape not in ((), (recording.n,)) or not (np.isfinite(fraction).all() and (fraction >= 0).all()):
         raise ValueError(f"level is {level!r}; give a fraction of the range, 0 or more (0.01 is 1 %), or {recording.n} of them.")
-    if isinstance(rng, bool) or not isinstance(rng, (np.random.Generator, int, np.integer)):
-        raise ValueError(f"rng is {rng!r}; give a numpy.random.Generator or a seed, so that the noise can be had again.")
+    arguments.seed("rng", rng, "the noise")
     rng = np.random.default_rng(rng)
     sigma = fraction * np.ptp(np.concatenate([x for x, _ in recording]), axis=0)
     return recording._with([x + sigma * rng.standard_normal(x.shape) for x, _ in recording], [u for _, u in recording])

@@ -123,13 +123,11 @@ def picture(folder, name):
     return png if png.is_file() else None
 
 
-def converter(lookup, block, contents):
+def converter(block, contents):
     """A function from Markdown to HTML.
 
     Parameters
     ----------
-    lookup : callable
-        ``{{ text }}`` -> what stands in its place (text, not HTML).
     block : callable
         Of a fenced block its kind and, from the YAML in it, a dictionary -> HTML.
     contents : list
@@ -159,13 +157,7 @@ def converter(lookup, block, contents):
         def block_code(self, code, info=None):
             return block(info.strip(), yaml.safe_load(code) or {}) if info else super().block_code(code)
 
-        def lookup(self, text):
-            return escape(lookup(text))
-
-    def braces(markdown):
-        markdown.inline.register("lookup", r"\{\{ (?P<sought>[^{}]+) \}\}", _parse_lookup, before="codespan")
-
-    return mistune.Markdown(Renderer(escape=True), plugins=[math, braces])
+    return mistune.Markdown(Renderer(escape=True), plugins=[math])
 
 
 def inline(convert, text):
@@ -194,11 +186,6 @@ def frame(title, body, contents):
 
 
 # ------------------------------------------------------------------------------------------------------------------------- parts
-
-
-def _parse_lookup(_, match, state):
-    state.append_token({"type": "lookup", "raw": " ".join(match["sought"].split())})
-    return match.end()
 
 
 def _is_number(cell):

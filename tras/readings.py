@@ -4,11 +4,14 @@ A set of choices is a `Readings`; `table` shows what there is, with the sentence
 file such as ``params/readings.yaml``. The study of all of them is `tras.grid`.
 """
 
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Literal
 
 import pydantic
+
+from tras.arguments import did_you_mean
+from tras.files import markdown_table, replacing
+from tras.parameters import ParameterError, parse_yaml
 
 # option -> (the paper's own words, {choice: what it means}); the default is the first choice.
 OPTIONS = {
@@ -78,7 +81,7 @@ class ReadingError(ValueError):
 def choices(option):
     """The choices of an option, the default first."""
     if option not in OPTIONS:
-        raise ReadingError(f"there is no reading {option!r}: {_hint(option, OPTIONS)}")
+        raise ReadingError(f"there is no reading {option!r}{did_you_mean(option, OPTIONS)}")
     return tuple(OPTIONS[option][1])
 
 
@@ -91,11 +94,11 @@ class _Frozen(pydantic.BaseModel):
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid")
 
-    def __init__(self, **given):
+    def __init__(self, **values):
         try:
-            super().__init__(**given)
+            super().__init__(**values)
         except pydantic.ValidationError as error:
-            raise ReadingError(_sentence(error.errors()[0], given)) from None
+            raise ReadingError(_sentence(error.errors()[0], values)) from None
 
     def __setattr__(self, option, choice):
         raise ReadingError(f"{option} cannot be changed in place: readings.replaced({option}=...) gives changed ones.")
@@ -148,13 +151,13 @@ def table():
 
 
 def markdown():
-    """The same for docs and notebooks: one row an option, the default first. Formulas stand in ``$...$``."""
-    lines = ["| option | the paper | choices, the default first |", "| --- | --- | --- |"]
+    """The same for docs and notebooks: one row per option, the default first. Formulas stand in ``$...$``."""
+    lines = [("option", "the paper", "choices, the default first")]
     for option, (sentence, meanings) in OPTIONS.items():
         quoted = f"${sentence}$" if sentence.startswith("\\") or "\\frac" in sentence else f"“{' '.join(sentence.split())}”"
         listed = "; ".join(f"`{choice}`: {meaning}" for choice, meaning in meanings.items())
-        lines.append(f"| `{option}` | {quoted} | {listed} |")
-    return "\n".join(lines)
+        lines.append((f"`{option}`", quoted, listed))
+    return markdown_table(lines)
 
 
 def read_yaml(path, *sections):
@@ -171,8 +174,6 @@ def read_yaml(path, *sections):
     ReadingError
         If the file cannot be read, is no mapping, or names what does not exist; the sentence begins with the file's name.
     """
-    from tras.parameters import ParameterError, parse_yaml
-
     path = Path(path)
     try:
         content = parse_yaml(path.read_text(encoding="utf-8"), path)
@@ -182,7 +183,7 @@ def read_yaml(path, *sections):
         raise ReadingError(str(error)) from None
     for section in sections:
         if not isinstance(content, dict) or section not in content:
-            raise ReadingError(f"{path} has no section {section!r}: {_hint(section, content if isinstance(content, dict) else [])}")
+            raise ReadingError(f"{path} has no section {section!r}{did_you_mean(section, content if isinstance(content, dict) else [])}")
         content = content[section]
     if not isinstance(content or {}, dict):
         raise ReadingError(f"{path} holds a {type(content).__name__}: write one `option: choice` a line.")
@@ -194,47 +195,15 @@ def read_yaml(path, *sections):
 
 def write_yaml(readings, path):
     """Write all options with their choices, each under the choices that there are; `read_yaml` reads them back."""
-    from tras.files import replacing
-
     lines = ["# One choice for each point that the paper leaves open; docs/paper.md says what they mean."]
     lines += [f'{option}: "{choice}"  # {" | ".join(choices(option))}' for option, choice in readings.model_dump().items()]
     with replacing(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _sentence(problem, given):
+def _sentence(problem, values):
     """pydantic's first complaint as one sentence for the person who made the mistake."""
     option = str(problem["loc"][0])
     if problem["type"] == "extra_forbidden":
-        return f"there is no reading {option!r}: {_hint(option, OPTIONS)}"
-    return f"{option} is {given[option]!r}: {_hint(given[option], choices(option))}"
-
-
-def _hint(name, known):
-    known = list(map(str, known))
-    close = get_close_matches(str(name), known, 1)
-    return f"did you mean {close[0]!r}?" if close else f"choose one of {', '.join(known) or 'none'}."
-
-
-BEGIN, END = "<!-- readings: written by `python -m tras.readings docs/paper.md` -->", "<!-- end of readings -->"
-
-
-def main(arguments=None):
-    """Command line: write `markdown` into a file between its two markers; returns the exit status."""
-    import argparse
-    import sys
-
-    from tras.files import write_between
-
-    parser = argparse.ArgumentParser(prog="python -m tras.readings", description="Write the table of readings into a document.")
-    parser.add_argument("document", type=Path)
-    try:
-        write_between(parser.parse_args(arguments).document, BEGIN, END, markdown())
-    except (OSError, ValueError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+        return f"there is no reading {option!r}{did_you_mean(option, OPTIONS)}"
+    return f"{option} is {values[option]!r}{did_you_mean(values[option], choices(option))}"

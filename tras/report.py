@@ -1,6 +1,6 @@
 """The whole replication as one page that opens without network: `make report`.
 
-The story is docs/report.md. Its numbers are looked up in the tables (`tras.lookups`); a fenced block (``figure``, ``table``, ``compare``, ``claims``,
+The story is docs/report.md. `tras.lookups` puts the tables' numbers into it; a fenced block (``figure``, ``table``, ``compare``, ``claims``,
 ``errors``, ``readings``, ``plant``, ``provenance``) with YAML in it stands for what is made here.
 A section whose files are missing says so in one sentence.
 
@@ -13,7 +13,7 @@ import re
 import sys
 from pathlib import Path
 
-from tras import claims, files, lookups, page
+from tras import claims, files, lookups, page, tables
 from tras.lookups import Lacking, Sources, number
 
 _SIGNS = dict(zip(claims.VERDICTS, (("✓", "reproduced"), ("◐", "named"), ("✗", "not"), ("?", "uncheckable"))))
@@ -41,12 +41,12 @@ def report(story, sources):
     """
     contents, lacking, bodies = [], [], []
     sources = sources._replace(**{name: Path(path) for name, path in sources._asdict().items()})
-    convert = page.converter(lambda text: lookups.look_up(text, sources), lambda kind, spec: _block(kind, spec, sources, convert), contents)
+    convert = page.converter(lambda kind, spec: _block(kind, spec, sources, convert), contents)
     for section in re.split(r"^(?=#{1,3} )", story, flags=re.MULTILINE):
         heading, _, text = section.partition("\n")
         bodies.append(convert(heading))
         try:
-            bodies.append(convert(text))
+            bodies.append(convert(lookups.render(text, sources)))
         except Lacking as lack:
             lacking.append(str(lack))
             bodies.append(f'<p class="lacking">{page.inline(convert, f"This part is not shown: {lack}")}</p>\n')
@@ -84,8 +84,6 @@ def _from_markdown(text, caption, inline, *, kind):
 
 
 def _compare(spec, sources, inline):
-    from tras import tables
-
     path = sources.path("figures/table.csv")
     try:
         text = tables.markdown(tables.read(path))
@@ -123,7 +121,7 @@ def _verdict(row):
 def _claims(spec, sources, inline):
     """All claims: in short with ``table: true``, each with its evidence without."""
     path, e = sources.path("data/claims.csv"), page.escape
-    rows = claims.read(path)
+    rows = tables.read(path)
     try:
         rows = [{name: row[name].strip() for name in claims.COLUMNS} for row in rows]
         rows = [row | {name: float(row[name] or "nan") for name in ("value", "low", "high")} for row in rows]
