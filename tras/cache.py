@@ -13,14 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from tras.files import replacing
+from tras.provenance import versions
 from tras.staleness import Package, digest
 
 
 @functools.cache
 def code_digest(*modules):
     """Digest of modules of this package and of all that they need in turn, as syntax trees, with Python's and the libraries' versions."""
-    from tras.recording import versions
-
     package, parts = _package(), {}
     for module in sorted(package.closure(set(modules))):
         parts.update(package.fingerprint(module))

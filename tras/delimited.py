@@ -10,9 +10,9 @@ import re
 import numpy as np
 
 from tras.roles import RecordingError
-from tras.source import MAX_TEXT, Source, check_size
+from tras.source import FORMAT, MAX_TEXT, Source, check_size
 
-_MARK = "# tras recording 2: "  # our own files: one line of JSON above the header
+_MARK = f"# {FORMAT}: "  # our own files: one line of JSON above the header
 _MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"}
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _IN_BRACKETS = re.compile(r"(.*?\S)\s*[\[(]([^\[\]()]*)[\])]\s*")

@@ -13,7 +13,7 @@ from collections import deque
 from concurrent import futures
 from typing import NamedTuple
 
-from tras.recording import versions
+from tras.provenance import versions
 
 _ATTEMPTS = 3  # a job whose worker dies more often than that is given up
 _PATIENCE = 5.0  # seconds to wait for a scheduler, and for its first worker

@@ -47,8 +47,8 @@ def record(notebook, parameters, outputs, began, seconds):
         "seeds": {name: value for name, value in parameters.items() if "seed" in name},
         "git": git_state(notebook.resolve().parent, outputs),
         "python": platform.python_version(),
-        "packages": versions(),
-        "environment": _checksum(ROOT / "environment.txt"),
+        "packages": packages(),
+        "environment": checksum(ROOT / "environment.txt"),
         "platform": platform.platform(),
         "processor": processor(),
         "instructions": instructions(),
@@ -75,10 +75,11 @@ def write_beside(record):
 def written(path):
     """Size, times and SHA-256 of a file, by which `tras/staleness.py` knows it again."""
     status = path.stat()
-    return {"size": status.st_size, "mtime_ns": status.st_mtime_ns, "ctime_ns": status.st_ctime_ns, "sha256": _checksum(path)}
+    return {"size": status.st_size, "mtime_ns": status.st_mtime_ns, "ctime_ns": status.st_ctime_ns, "sha256": checksum(path)}
 
 
-def _checksum(path):
+def checksum(path):
+    """SHA-256 of a file in hexadecimal digits, None if it is not there."""
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.exists() else None
 
 
@@ -100,16 +101,26 @@ def _git(folder, *command):
 
 
 def versions():
-    """Installed versions of the direct dependencies, which `environment.in` lists."""
-    listed = ROOT / "environment.in"
-    names = re.findall(r"^[A-Za-z0-9_.-]+", listed.read_text(encoding="utf-8"), re.MULTILINE) if listed.exists() else []
-    found = {}
+    """Versions that decide the numbers of a recording or a model, for its attributes."""
+    import numpy
+    import scipy
+
+    import tras
+
+    return {"tras": tras.__version__, "python": platform.python_version(), "numpy": numpy.__version__, "scipy": scipy.__version__}
+
+
+def packages():
+    """Installed versions of the direct dependencies, which `environment.in` lists; None for one that is not installed."""
+    requirements = ROOT / "environment.in"
+    names = re.findall(r"^[A-Za-z0-9_.-]+", requirements.read_text(encoding="utf-8"), re.MULTILINE) if requirements.exists() else []
+    installed = {}
     for name in names:
         try:
-            found[name] = metadata.version(name)
+            installed[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
-            found[name] = None
-    return found
+            installed[name] = None
+    return installed
 
 
 def processor():
@@ -133,7 +144,7 @@ def _cpu(entry):
 
 def summary():
     """This checkout and this machine in one line."""
-    state, installed = git_state(ROOT), versions()
+    state, installed = git_state(ROOT), packages()
     revision = f"revision {state['revision'][:12]}{' with changes' if state['dirty'] else ''}" if state["revision"] else "no revision"
     packages = ", ".join(f"{name} {installed[name]}" for name in ("numpy", "scipy") if installed.get(name))
     machine = f"{processor()} ({' '.join(instructions()[-1:])})" if instructions() else processor()
