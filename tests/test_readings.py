@@ -74,7 +74,7 @@ def test_yaml_by_section_and_with_defaults(tmp_path):
     ("input: torques\n", (), "input is 'torques': did you mean 'torque'"),
     ("inputs: torque\n", (), "there is no reading 'inputs'"),
     ("1: torque\n", (), "there is no reading '1'"),
-    ("- input\n", (), "holds a list: write one `option: choice` a line"),
+    ("- input\n", (), "holds a list: write one `option: choice` per line"),
     ("input: torque\ninput: reference\n", (), "`input` stands twice"),
     ("input: [\n", (), "is not valid YAML"),
     ("readings:\n  input: torque\n", ("reading",), "has no section 'reading': did you mean 'readings'"),

@@ -1,7 +1,7 @@
 """What is in an artefact, for comparison: columns of numbers, or a small grey picture; and their copies in `reference/`.
 
 A copy is text or a small picture: a table (.csv) as it is, thinned if it is long; a recording (.nc) as a thinned table; a model (.npz)
-with one line a number, long arrays thinned; a picture (.png) in grey at a quarter of the size, of an animation (.gif) some frames, one below the other.
+with one line per number, long arrays thinned; a picture (.png) in grey at a quarter of the size, of an animation (.gif) some frames, one below the other.
 """
 
 import collections
@@ -130,16 +130,16 @@ def write_copy(artefact, copy):
 
 
 def _write_thinned(columns, copy):
-    """Some of the rows: their numbers and one column a column, or one line a number where lengths differ."""
+    """Write some of the rows: their numbers beside the columns, or one line per number where lengths differ."""
     import numpy as np
 
-    kept = {name: np.unique(np.linspace(0, len(values) - 1, ROWS).round().astype(int)) for name, values in columns.items()}
+    selection = {name: np.unique(np.linspace(0, len(values) - 1, ROWS).round().astype(int)) for name, values in columns.items()}
     if len({len(values) for values in columns.values()}) == 1:
-        rows = next(iter(kept.values()))
+        rows = next(iter(selection.values()))
         lines = [("#row", *columns), *zip(rows, *([text(v) for v in values[rows].tolist()] for values in columns.values()))]
     else:
         lines = [("#array", "#row", "#value")]
-        lines += [(name, row, text(values[row].item())) for name, values in columns.items() for row in kept[name]]
+        lines += [(name, row, text(values[row].item())) for name, values in columns.items() for row in selection[name]]
     with replacing(copy) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows(lines)
 

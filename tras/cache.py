@@ -1,7 +1,7 @@
 """Results in small files, each under the hash of what it depends on: its options and the code that computes it.
 
 A result that is there is not computed again; one whose options or code changed has another name. A file that is damaged, or that holds
-something else than its name says, is said and computed again.
+something else than its name says, is computed again, with a sentence that says so.
 """
 
 import functools
@@ -52,7 +52,7 @@ def write(path, options, value):
 
 
 def read(path, options, say=None):
-    """What `write` has stored for these options; None if there is nothing, or nothing sound, which is said."""
+    """What `write` has stored for these options; None if there is nothing, or nothing sound, which ``say`` is told."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         sound = content["options"] == options and content["check"] == digest(json.dumps(content["value"], sort_keys=True))
@@ -70,7 +70,7 @@ def write_arrays(path, **arrays):
 
 
 def read_arrays(path, say=None):
-    """What `write_arrays` has stored: a dict; None if there is nothing, or nothing sound, which is said."""
+    """The dict that `write_arrays` has stored; None if there is nothing, or nothing sound, which ``say`` is told."""
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}

@@ -53,10 +53,7 @@ def write_table(frame, header, path):
     """A pandas table as CSV that reads back to the last bit, ``header`` (a dict) in a comment above it."""
     with open(path, "w", encoding="utf-8", newline="") as file:
         file.write(f"{_MARK}{json.dumps(header)}\n")
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(frame.columns)
-        for row in zip(*(frame[name].tolist() for name in frame.columns)):
-            writer.writerow(map(repr, row))  # repr has as many digits as it takes
+        frame.to_csv(file, index=False, lineterminator="\n")  # as many digits as it takes
 
 
 def _decode(content):

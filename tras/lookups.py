@@ -64,13 +64,13 @@ def render(text, sources):
     """
 
     def value(name, what, **where):
-        return _total(_chosen(frame(name, sources), where, name), what, name)
+        return _total(_selected(frame(name, sources), where, name), what, name)
 
     def parameter(stage, name):
-        recorded = record(sources.path(f"build/{stage}.json")).get("parameters", {})
-        if name not in recorded:
+        parameters = record(sources.path(f"build/{stage}.json")).get("parameters", {})
+        if name not in parameters:
             raise Lacking(f"{stage} has no parameter `{name}`.")
-        return recorded[name]
+        return parameters[name]
 
     try:
         return _ENVIRONMENT.from_string(text).render(value=value, parameter=parameter, claims=_LIMITS)
@@ -137,28 +137,28 @@ def table(spec, sources):
         How many columns name the row.
     """
     name, formats = spec["file"], spec.get("format", "g")
-    chosen = _chosen(frame(name, sources), spec.get("where", {}), name)
+    rows = _selected(frame(name, sources), spec.get("where", {}), name)
     if "rows" in spec:
-        across, groups = _summary(chosen, spec, name)
+        across, groups = _summary(rows, spec, name)
         head = [*spec["rows"].values(), *(spec.get("heading", "{}").format(number(value)) for value in across)]
         return head, [[*map(number, key), *(number(value, formats) for value in values)] for key, values in groups], len(spec["rows"])
-    chosen = chosen.head(spec.get("first", len(chosen)))
+    rows = rows.head(spec.get("first", len(rows)))
     formats = [formats.get(column, "g") if isinstance(formats, dict) else formats for column in spec["columns"]]
-    rows = zip(*(_column(chosen, column, name) for column in spec["columns"]))
-    return list(spec["columns"].values()), [[*map(number, row, formats)] for row in rows], spec.get("keys", 1)
+    cells = zip(*(_column(rows, column, name) for column in spec["columns"]))
+    return list(spec["columns"].values()), [[*map(number, row, formats)] for row in cells], spec.get("keys", 1)
 
 
 # ------------------------------------------------------------------------------------------------------------------------- parts
 
 
-def _summary(chosen, spec, name):
+def _summary(rows, spec, name):
     """What stands across, and for each group of rows its key and the numbers below that."""
     for column in (*spec["rows"], *([spec["across"]] if "across" in spec else [])):
-        _column(chosen, column, name)
-    groups = list(chosen.groupby(list(spec["rows"]), sort=False))
+        _column(rows, column, name)
+    groups = list(rows.groupby(list(spec["rows"]), sort=False))
     if "across" not in spec:
         return list(spec["values"]), [(key, [_total(part, what, name) for what in spec["values"].values()]) for key, part in groups]
-    across = list(dict.fromkeys(chosen[spec["across"]]))
+    across = list(dict.fromkeys(rows[spec["across"]]))
     cells = [(key, [part[part[spec["across"]] == value] for value in across]) for key, part in groups]
     return across, [(key, [_total(cell, spec["value"], name) if len(cell) else None for cell in row]) for key, row in cells]
 
@@ -173,14 +173,14 @@ def _read(path, _changed):
         raise ValueError(f"{path} is no table ({error}): delete it, and make all makes it anew.") from None
 
 
-def _chosen(rows, where, name):
+def _selected(rows, where, name):
     """The rows that hold these values; numbers compare as numbers, and ``>0.5`` as a value means larger ones."""
     for column, value in where.items():
-        own = _column(rows, column, name)
+        cells = _column(rows, column, name)
         if str(value).startswith(">"):
-            rows = rows[own > float(value[1:])]
-            continue
-        rows = rows[own == float(value) if own.dtype.kind in "if" else own.astype(str) == str(value)]
+            rows = rows[cells > float(value[1:])]
+        else:
+            rows = rows[cells == float(value) if cells.dtype.kind in "if" else cells.astype(str) == str(value)]
     return rows
 
 

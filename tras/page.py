@@ -86,10 +86,10 @@ def table(head, rows, caption, *, keys=1, kind="numbers"):
     """
     columns = list(zip(*rows)) or [()] * len(head)
     right = [_NUMBER if i >= keys and kind == "numbers" and column and all(map(_is_number, column)) else "" for i, column in enumerate(columns)]
-    titles = "".join(f'<th scope="col"{place}>{name}</th>' for name, place in zip(head, right))
+    titles = "".join(f'<th scope="col"{style}>{name}</th>' for name, style in zip(head, right))
     body = []
     for row in rows:
-        cells = [f'<th scope="row">{cell}</th>' for cell in row[:keys]] + [f"<td{place}>{cell}</td>" for cell, place in zip(row[keys:], right[keys:])]
+        cells = [f'<th scope="row">{cell}</th>' for cell in row[:keys]] + [f"<td{style}>{cell}</td>" for cell, style in zip(row[keys:], right[keys:])]
         body.append(f"<tr>{''.join(cells)}</tr>")
     label = escape(html.unescape(re.sub("<[^>]*>", "", caption)))
     return (
@@ -139,11 +139,11 @@ def converter(block, contents):
             return escape(text)
 
         def heading(self, text, level, **_):
-            taken = [identity for _, identity, _ in contents]
+            identities = [identity for _, identity, _ in contents]
             plain = html.unescape(re.sub("<[^>]*>", "", text)).lower().replace("'", "")
             base = identity = re.sub(r"[^a-z0-9]+", "-", plain).strip("-") or "part"
-            while identity in taken:
-                identity = f"{base}-{sum(name.startswith(base) for name in taken) + 1}"
+            while identity in identities:
+                identity = f"{base}-{sum(name.startswith(base) for name in identities) + 1}"
             if level in (2, 3):
                 contents.append((level, identity, text))
             return f'<h{level} id="{identity}">{text}</h{level}>\n'
@@ -175,13 +175,13 @@ def frame(title, body, contents):
             chapters.append((link, []))
         else:
             chapters[-1][1].append(f"<li>{link}</li>")
-    listed = "\n".join(f"<li>{link}{'<ul>' + ''.join(parts) + '</ul>' if parts else ''}</li>" for link, parts in chapters)
+    items = "\n".join(f"<li>{link}{'<ul>' + ''.join(parts) + '</ul>' if parts else ''}</li>" for link, parts in chapters)
     return (
         '<!DOCTYPE html>\n<html xmlns="http://www.w3.org/1999/xhtml" lang="en">\n<head>\n<meta charset="utf-8" />\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1" />\n'
         "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\" />\n"
         f'<title>{escape(title)}</title>\n<link rel="icon" href="data:," />\n<style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n{first}'
-        f'<nav aria-label="Contents">\n<h2>Contents</h2>\n<ul>\n{listed}\n</ul>\n</nav>\n{rest}</main>\n</body>\n</html>\n'
+        f'<nav aria-label="Contents">\n<h2>Contents</h2>\n<ul>\n{items}\n</ul>\n</nav>\n{rest}</main>\n</body>\n</html>\n'
     )
 
 

@@ -24,8 +24,8 @@ VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "PYTH
 INSTRUCTIONS = ("sse4_2", "avx", "fma", "avx2", "avx512f", "asimd", "sve")  # BLAS and libm choose by these
 
 
-def record(notebook, parameters, outputs, began, seconds):
-    """What ran and what it wrote.
+def record(notebook, parameters, outputs, started, seconds):
+    """A record of what ran and what it wrote.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def record(notebook, parameters, outputs, began, seconds):
     parameters : dict
         All parameters, defaults included.
     outputs : sequence of Path
-    began : datetime.datetime
+    started : datetime.datetime
     seconds : float
 
     Returns
@@ -53,9 +53,9 @@ def record(notebook, parameters, outputs, began, seconds):
         "processor": processor(),
         "instructions": instructions(),
         "variables": {name: os.environ[name] for name in VARIABLES if name in os.environ},
-        "started": began.isoformat(timespec="seconds"),
+        "started": started.isoformat(timespec="seconds"),
         "seconds": round(seconds, 2),
-        "outputs": {str(output): written(output) for output in outputs},
+        "outputs": {str(output): file_stamp(output) for output in outputs},
     }
 
 
@@ -65,14 +65,14 @@ def beside(artefact):
 
 
 def write_beside(record):
-    """For each output of a stage its own file: the stage's record, with this output's checksum only."""
-    for name, known in record["outputs"].items():
-        shared = {key: value for key, value in record.items() if key != "outputs"}
+    """Write a file for each output of a stage: the stage's record, with the checksum of this output alone."""
+    shared = {key: value for key, value in record.items() if key != "outputs"}
+    for name, stamp in record["outputs"].items():
         with replacing(beside(Path(name))) as temporary:
-            temporary.write_text(json.dumps({"artefact": name, **known, **shared}, indent=1) + "\n", encoding="utf-8")
+            temporary.write_text(json.dumps({"artefact": name, **stamp, **shared}, indent=1) + "\n", encoding="utf-8")
 
 
-def written(path):
+def file_stamp(path):
     """Size, times and SHA-256 of a file, by which `tras/staleness.py` knows it again."""
     status = path.stat()
     return {"size": status.st_size, "mtime_ns": status.st_mtime_ns, "ctime_ns": status.st_ctime_ns, "sha256": checksum(path)}
@@ -136,16 +136,15 @@ def instructions():
 
 def _cpu(entry):
     try:
-        found = re.search(rf"^{entry}\s*: (.*)", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
+        match = re.search(rf"^{entry}\s*: (.*)", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
     except OSError:
         return ""
-    return found[1] if found else ""
+    return match[1] if match else ""
 
 
 def summary():
     """This checkout and this machine in one line."""
-    state, installed = git_state(ROOT), packages()
+    state, libraries = git_state(ROOT), versions()
     revision = f"revision {state['revision'][:12]}{' with changes' if state['dirty'] else ''}" if state["revision"] else "no revision"
-    packages = ", ".join(f"{name} {installed[name]}" for name in ("numpy", "scipy") if installed.get(name))
     machine = f"{processor()} ({' '.join(instructions()[-1:])})" if instructions() else processor()
-    return f"{revision}, Python {platform.python_version()}, {packages}, {sys.platform}, {machine}"
+    return f"{revision}, Python {libraries['python']}, numpy {libraries['numpy']}, scipy {libraries['scipy']}, {sys.platform}, {machine}"

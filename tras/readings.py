@@ -133,7 +133,7 @@ tras.readings.ReadingError: dictionary is 'monomial2': did you mean 'monomials2'
 
 
 def table():
-    """All options and choices, one row a choice.
+    """All options and choices, one row per choice.
 
     Returns
     -------
@@ -186,7 +186,7 @@ def read_yaml(path, *sections):
             raise ReadingError(f"{path} has no section {section!r}{did_you_mean(section, content if isinstance(content, dict) else [])}")
         content = content[section]
     if not isinstance(content or {}, dict):
-        raise ReadingError(f"{path} holds a {type(content).__name__}: write one `option: choice` a line.")
+        raise ReadingError(f"{path} holds a {type(content).__name__}: write one `option: choice` per line.")
     try:
         return Readings(**{str(name): choice for name, choice in (content or {}).items()})
     except ReadingError as error:

@@ -32,7 +32,7 @@ def report(story, sources):
     -------
     html : str
     lacking : list of str
-        What could not be shown, a sentence each.
+        One sentence for each part that could not be shown.
 
     Raises
     ------
@@ -89,8 +89,8 @@ def _compare(spec, sources, inline):
         text = tables.markdown(tables.read(path))
     except (KeyError, TypeError, ValueError, IndexError, StopIteration):
         raise ValueError(f"{path} is not the table paper against ours: delete it, and make all makes it anew.") from None
-    shown = _from_markdown(text, spec["caption"], inline, kind="numbers")
-    return re.sub(r"(<td[^>]*>\S+) \(", r"\1 <br />(", shown)  # the range below the median: seven columns are wide
+    html = _from_markdown(text, spec["caption"], inline, kind="numbers")
+    return re.sub(r"(<td[^>]*>\S+) \(", r"\1 <br />(", html)  # the range below the median: seven columns are wide
 
 
 def _errors(spec, _, inline):
@@ -154,7 +154,7 @@ def _sentence(text):
 
 
 def _provenance(spec, sources, inline):
-    """What `tras.runner` recorded beside the executed notebooks: when and from which revision, then everything else, once where it is the same."""
+    """The records that `tras.runner` leaves beside executed notebooks: when and from which revision; everything else once where it is the same."""
     records = {path.stem: lookups.record(path) for path in sorted(sources.build.glob("[0-9]*.json")) if path.with_suffix(".ipynb").is_file()}
     if not records:
         raise Lacking(f"no stage has left a record beside its executed notebook: {sources.command} runs them.")
@@ -165,18 +165,18 @@ def _provenance(spec, sources, inline):
         rows.append([e(stage), f"<code>{e(revision)}</code>", e(record.get("started", "–")), e(number(record.get("seconds"), ".1f"))])
         for name, value in _environment(record).items():
             facts.setdefault(name, {}).setdefault(value, []).append(stage)
-    several = {name: "; ".join(f"{value} ({', '.join(by)})" for value, by in found.items()) for name, found in facts.items()}
-    listed = [[e(name), e(next(iter(found)) if len(found) == 1 else several[name])] for name, found in facts.items()]
+    several = {name: "; ".join(f"{value} ({', '.join(by)})" for value, by in values.items()) for name, values in facts.items()}
+    cells = [[e(name), e(next(iter(values)) if len(values) == 1 else several[name])] for name, values in facts.items()]
     stages = page.table(["stage", "git revision", "started", "seconds"], rows, inline(spec["stages"]))
-    return stages + page.table(["what", "version or value"], listed, inline(spec["environment"]), kind="prose")
+    return stages + page.table(["what", "version or value"], cells, inline(spec["environment"]), kind="prose")
 
 
 def _environment(record):
     """What a stage ran with, as far as its record says: name -> text."""
-    found = {name: record[name] for name in ("python", "platform", "processor") if name in record}
-    found |= {"vector instructions": ", ".join(record["instructions"])} if record.get("instructions") else {}
-    found |= {"SHA-256 of environment.txt": record["environment"]} if record.get("environment") else {}
-    return {name: str(value) for name, value in (found | record.get("variables", {}) | record.get("packages", {})).items()}
+    facts = {name: record[name] for name in ("python", "platform", "processor") if name in record}
+    facts |= {"vector instructions": ", ".join(record["instructions"])} if record.get("instructions") else {}
+    facts |= {"SHA-256 of environment.txt": record["environment"]} if record.get("environment") else {}
+    return {name: str(value) for name, value in (facts | record.get("variables", {}) | record.get("packages", {})).items()}
 
 
 _BLOCKS = {

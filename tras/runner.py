@@ -26,7 +26,7 @@ from tras.files import replacing
 from tras.parameters import ParameterError, check_parameters, notebook_defaults, parse_settings, read_params
 
 KERNEL = "python3"
-# The same bits whoever starts the run: sums depend on the number of BLAS threads. Set outside, a value is kept.
+# The same bits whoever starts the run: sums depend on the number of BLAS threads. A value that is set outside counts.
 PINNED = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
 
 
@@ -74,15 +74,15 @@ def run_notebook(notebook, executed, parameters=None, outputs=()):
         folder.mkdir(parents=True, exist_ok=True)
     for leftover in (executed, record, running, failed, *sidecars, *_temporaries([record, *outputs, *sidecars])):
         leftover.unlink(missing_ok=True)
-    start, began = time.time(), datetime.datetime.now(datetime.timezone.utc)
+    start, started = time.time(), datetime.datetime.now(datetime.timezone.utc)
     try:
         _execute(notebook, running, parameters or {})
         _check_outputs(outputs, start, notebook)
         seconds = time.time() - start
-        ran = provenance.record(notebook, {**notebook_defaults(notebook), **(parameters or {})}, outputs, began, seconds)
-        provenance.write_beside(ran)
+        entry = provenance.record(notebook, {**notebook_defaults(notebook), **(parameters or {})}, outputs, started, seconds)
+        provenance.write_beside(entry)
         with replacing(record) as temporary:
-            temporary.write_text(json.dumps(ran, indent=1) + "\n", encoding="utf-8")
+            temporary.write_text(json.dumps(entry, indent=1) + "\n", encoding="utf-8")
         os.replace(running, executed)
         return seconds
     except RunError as error:
@@ -165,8 +165,8 @@ def _check_outputs(outputs, start, notebook):
     slack = 0.05  # s; a file's time comes from a coarser clock than ours
     for output in outputs:
         if not output.exists() or output.stat().st_mtime < start - slack:
-            found = "is not there" if not output.exists() else "is still the one from before"
-            raise RunError(f"{notebook.stem} ran to its end, but {output} {found}: let the notebook write it or drop it from make's list.")
+            problem = "is not there" if not output.exists() else "is still the one from before"
+            raise RunError(f"{notebook.stem} ran to its end, but {output} {problem}: let the notebook write it or drop it from make's list.")
 
 
 def _temporaries(finals):
@@ -203,7 +203,7 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(prog="python -m tras.runner", description="Run one notebook with checked parameters.")
     parser.add_argument("notebook", type=Path)
     parser.add_argument("executed", type=Path, help="where the executed notebook goes")
-    parser.add_argument("--params", type=Path, metavar="FILE.yaml", help="parameters, one section a notebook")
+    parser.add_argument("--params", type=Path, metavar="FILE.yaml", help="parameters, one section per notebook")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="one parameter more; wins over the file")
     parser.add_argument("--outputs", nargs="*", default=[], metavar="PATH", help="files that the run must write")
     options = parser.parse_args(arguments)
@@ -223,8 +223,8 @@ def main(arguments=None):
         print(error, file=sys.stderr)
         return 1
     except OSError as error:
-        found = f"{error.filename}: {error.strerror}" if error.filename else error
-        print(f"{options.notebook.stem}: {found}; nothing was left under the name {options.executed}.", file=sys.stderr)
+        problem = f"{error.filename}: {error.strerror}" if error.filename else error
+        print(f"{options.notebook.stem}: {problem}; nothing was left under the name {options.executed}.", file=sys.stderr)
         return 1
     except Interrupted as interrupt:
         number = interrupt.args[0]

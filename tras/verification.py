@@ -14,7 +14,7 @@ import fnmatch
 import sys
 from pathlib import Path
 
-from tras import artefacts as holding
+from tras import artefacts as copies
 from tras import provenance
 from tras.files import replacing
 
@@ -60,13 +60,13 @@ def compare_columns(ours, theirs, rtol, atol):
     -------
     share : float
         Above 1 outside tolerance; infinite for another shape, text, whole number, NaN or infinity.
-    place : str
+    detail : str
         The column, row and both values; empty if nothing differs.
     """
     if set(ours) != set(theirs):
         name = min(set(ours) ^ set(theirs))
         return float("inf"), f"column {name} is only in {'ours' if name in ours else 'the reference'}"
-    worst, place = 0.0, ""
+    worst, detail = 0.0, ""
     for name, (rows, reference) in theirs.items():
         length = len(reference) if rows is None else rows[-1] + 1
         if len(ours[name]) != length:
@@ -76,14 +76,14 @@ def compare_columns(ours, theirs, rtol, atol):
         i = int(shares.argmax())
         if shares[i] > worst:
             worst, row = float(shares[i]), i if rows is None else int(rows[i])
-            place = f"{name}, row {row + 1}: {_apart(values[i].item(), reference[i].item())}"
-            place += f", and {int((shares > 1).sum()) - 1} more in this column" if (shares > 1).sum() > 1 else ""
-    return worst, place
+            detail = f"{name}, row {row + 1}: {_apart(values[i].item(), reference[i].item())}"
+            detail += f", and {int((shares > 1).sum()) - 1} more in this column" if (shares > 1).sum() > 1 else ""
+    return worst, detail
 
 
 def _apart(value, reference):
-    found, expected = holding.text(value), holding.text(reference)
-    return f"{found} for {expected}" if found != expected else f"{expected}, off by {abs(value - reference):.1e}"
+    ours, theirs = copies.text(value), copies.text(reference)
+    return f"{ours} for {theirs}" if ours != theirs else f"{theirs}, off by {abs(value - reference):.1e}"
 
 
 def _shares(values, reference, rtol, atol):
@@ -114,27 +114,27 @@ def compare(artefact, expected, reference):
             return Finding(artefact, "same bytes")
         if not artefact.stat().st_size:
             raise ValueError("it is empty")
-        copy = holding.copy_of(artefact, reference)
+        copy = copies.copy_of(artefact, reference)
         if copy is None:
             return Finding(artefact, "other bytes", f"see {artefact.stem}.png and {artefact.stem}.csv")
         if not copy.is_file():
             return Finding(artefact, "MISSING", f"the reference has lost {copy}: git checkout {copy}")
-        return _compare_looks(artefact, copy) if artefact.suffix in holding.PICTURES else _compare_numbers(artefact, copy)
+        return _compare_looks(artefact, copy) if artefact.suffix in copies.PICTURES else _compare_numbers(artefact, copy)
     except (OSError, ValueError) as error:
         return Finding(artefact, "UNREADABLE", str(error))
 
 
 def _compare_numbers(artefact, copy):
-    share, place = compare_columns(holding.read_columns(artefact), holding.read_copy(copy), *tolerance(artefact))
+    share, detail = compare_columns(copies.read_columns(artefact), copies.read_copy(copy), *tolerance(artefact))
     if share > 1:
-        return Finding(artefact, "DIFFERS", place + (f", {share:.2g} times what is allowed" if share < float("inf") else ""), share)
-    return Finding(artefact, "numbers agree", f"furthest off: {place}, {share:.2g} of what is allowed" if place else "all equal", share)
+        return Finding(artefact, "DIFFERS", detail + (f", {share:.2g} times what is allowed" if share < float("inf") else ""), share)
+    return Finding(artefact, "numbers agree", f"furthest off: {detail}, {share:.2g} of what is allowed" if detail else "all equal", share)
 
 
 def _compare_looks(artefact, copy):
-    ours, theirs = holding.picture(artefact), holding.read_small(copy)
+    ours, theirs = copies.picture(artefact), copies.read_small(copy)
     if ours.shape != theirs.shape:
-        sizes = ["{1}x{0}".format(*(holding.SMALLER * size for size in picture.shape)) for picture in (ours, theirs)]
+        sizes = ["{1}x{0}".format(*(copies.SMALLER * size for size in picture.shape)) for picture in (ours, theirs)]
         return Finding(artefact, "looks different", f"{sizes[0]} pixels for {sizes[1]}")
     rms = float(((ours - theirs) ** 2).mean() ** 0.5)
     return Finding(artefact, "looks the same" if rms <= LOOKS else "looks different", f"RMS {rms:.2f} of 255")
@@ -184,17 +184,17 @@ def bless(artefacts, reference):
     except (OSError, ValueError):
         old = {}
     sums = {str(artefact): provenance.checksum(artefact) for artefact in artefacts}
-    copies = {artefact: copy for artefact in artefacts if (copy := holding.copy_of(artefact, reference))}
+    wanted = {artefact: copy for artefact in artefacts if (copy := copies.copy_of(artefact, reference))}
     try:
-        for artefact, copy in copies.items():
-            holding.write_copy(artefact, copy)
+        for artefact, copy in wanted.items():
+            copies.write_copy(artefact, copy)
         with replacing(reference / MANIFEST) as temporary:
             lines = [f"# {provenance.summary()}", *(f"{value}  {name}" for name, value in sums.items())]
             temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
     except (OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 1
-    for path in {path for path in reference.rglob("*") if path.is_file()} - {*copies.values(), reference / MANIFEST, reference / "README.md"}:
+    for path in {path for path in reference.rglob("*") if path.is_file()} - {*wanted.values(), reference / MANIFEST, reference / "README.md"}:
         path.unlink()
     size = sum(path.stat().st_size for path in reference.rglob("*") if path.is_file())
     changed = [name for name in sorted({*sums, *old}) if sums.get(name) != old.get(name)]
