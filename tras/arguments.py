@@ -1,4 +1,4 @@
-"""Checks of arguments: numbers, seeds and names, each refused in one sentence that says what was given and what to give."""
+"""Checks of arguments: a wrong number, seed or name is refused in one sentence that says what to give instead."""
 
 import difflib
 import math
@@ -51,7 +51,8 @@ def whole_number(name, value, low=1, high=math.inf, *, give="", error=ValueError
 def seed(name, value, purpose):
     """Refuse what is neither a numpy.random.Generator nor a seed; ``purpose`` says what can then be had again."""
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) and not hasattr(value, "bit_generator"):
-        raise ValueError(f"{name} is {value!r}; give a numpy.random.Generator or a seed, so that {purpose} can be had again.")
+        remedy = f"give a numpy.random.Generator or a seed, so that {purpose} can be had again"
+        raise ValueError(f"{name} is {value!r}; {remedy}.")
 
 
 def did_you_mean(name, known):

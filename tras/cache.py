@@ -1,7 +1,7 @@
 """Results in small files, each under the hash of what it depends on: its options and the code that computes it.
 
-A result that is there is not computed again; one whose options or code changed has another name. A file that is damaged, or that holds
-something else than its name says, is computed again, with a sentence that says so.
+A result that is there is not computed again; one whose options or code changed has another name. A file that is
+damaged, or that holds something else than its name says, is computed again, with a sentence that says so.
 """
 
 import functools
@@ -19,7 +19,7 @@ from tras.staleness import Package, digest
 
 @functools.cache
 def code_digest(*modules):
-    """Digest of modules of this package and of all that they need in turn, as syntax trees, with Python's and the libraries' versions."""
+    """Digest of modules and all that they need in turn, as syntax trees, and of Python's and libraries' versions."""
     package, parts = _package(), {}
     for module in sorted(package.closure(set(modules))):
         parts.update(package.fingerprint(module))

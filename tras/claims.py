@@ -1,7 +1,8 @@
 """The paper's claims, each with a verdict and its evidence: computed from the tables of the studies, never typed.
 
-What counts, decided before looking: a number of the paper is met when it lies within the range over our seeds, 10 % wider on each side; "low" means an
-error to norm ratio of at most 0.1, "high" a best fit ratio of at least 90 %, "superior" an error at least 5 % smaller in both angles, for every seed.
+What counts, decided before looking: a number of the paper is met when it lies within the range over our seeds, 10 %
+wider on each side; "low" means an error to norm ratio of at most 0.1, "high" a best fit ratio of at least 90 %,
+"superior" an error at least 5 % smaller in both angles, for every seed.
 """
 
 import math
@@ -25,14 +26,16 @@ def evaluate(tables, models):
     Parameters
     ----------
     tables : dict of str to pandas.DataFrame
-        ``readings`` (06_readings), ``metrics`` (03_validation), ``length`` (robustness_length of 05_robustness), ``comparison`` (07_comparison).
+        ``readings`` (06_readings), ``metrics`` (03_validation), ``length`` (robustness_length of 05_robustness),
+        ``comparison`` (07_comparison).
     models : dict of str to KoopmanModel
         Vector fields with torques as input, of 02_identification; the first is the paper's dictionary.
 
     Returns
     -------
     pandas.DataFrame
-        One row per claim, columns `COLUMNS`. ``value, low, high`` belong to ``quantity``; low and high are the extremes over seeds or cases.
+        One row per claim, columns `COLUMNS`. ``value, low, high`` belong to ``quantity``; low and high are the extremes
+        over seeds or cases.
     """
     import pandas as pd
 
@@ -52,7 +55,7 @@ def evaluate(tables, models):
 
 
 def nrmse(grid, angle):
-    """C1, C2: the paper's number against the default reading, and against all readings, which must meet both numbers at once."""
+    """C1, C2: the paper's number against the default reading, and all readings, which must meet both at once."""
     from tras import effects, readings
 
     every = effects.nearest(grid)
@@ -74,7 +77,7 @@ def nrmse(grid, angle):
 
 
 def _meets(rows, angle):
-    """Where the paper's number of this angle, under the row's naming, lies within the range over seeds, a little wider."""
+    """Where the paper's number of this angle, by the row's naming, lies within the range over seeds, a little wider."""
     from tras import effects
 
     paper = np.array([dict(zip(("yaw", "pitch"), effects.target(names)))[angle] for names in rows["angle_names"]])
@@ -102,7 +105,7 @@ def across(metrics, name):
 
 
 def against_linear(grid, comparison):
-    """C5: error over that of the linear model, the same seeds, reading by reading; and beside linear methods that were tuned like it."""
+    """C5: error over the linear model's, for the same seeds, per reading; and beside linear methods tuned alike."""
     from tras import effects, readings
 
     ratios = _ratios_to_linear(effects.pairs_of_angles(grid))
@@ -126,7 +129,7 @@ def against_linear(grid, comparison):
 
 
 def _ratios_to_linear(pairs):
-    """For each reading with another dictionary than the linear one: median, low, high of the ratio over seeds, of the angle that is worse."""
+    """Median, low, high over seeds of the worse angle's ratio, per reading with another dictionary than linear."""
     from tras import effects
 
     seeds = ["train_seed", "validation_seed"]
@@ -192,8 +195,8 @@ def starts(metrics):
 def few_data(length):
     """C8: share of stretches without a model, short and long, by plain least squares.
 
-    Where the functions are dependent on the data, the pseudoinverse of (14) has a smaller rank than N and so has K: its eigenvalue zero is one of
-    those of which the paper speaks.
+    Where the functions are dependent on the data, the pseudoinverse of (14) has a smaller rank than N and so has K: its
+    eigenvalue zero is one of those of which the paper speaks.
     """
     plain = length[length["fit"] == "plain"]
     most = plain["ratio"].max()
@@ -268,7 +271,7 @@ def _linearised(model, x, u, step=1e-4):
     return slopes[:, :n], slopes[:, n:]
 
 
-# --------------------------------------------------------------------------------------------------------------------- the table
+# --- the table --------------------------------------------------------------------------------------------------------
 
 
 def markdown(rows):
@@ -285,7 +288,7 @@ def text(rows):
     return "\n".join(f"{row['claim']:>3}  {row['verdict']}  {row['statement']}" for row in rows)
 
 
-# ------------------------------------------------------------------------------------------------------------------------- parts
+# --- parts ------------------------------------------------------------------------------------------------------------
 
 
 def _row(verdict, quantity, numbers, reading, evidence, figure, command):

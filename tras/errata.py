@@ -1,4 +1,4 @@
-"""The paper's errors and our repairs, each with a computation that shows the error: `table` computes all of them, nothing is typed."""
+"""The paper's errors and our repairs, each with a computation that shows the error; `table` computes them all."""
 
 import math
 from dataclasses import replace
@@ -110,7 +110,7 @@ def logarithm():
 
 
 def one_vector():
-    """(18) has N equations at each point for n unknowns at each point, F there: one F for all points would be a constant field."""
+    """(18) has N equations per point for n unknowns, F there: one F for all points would be a constant field."""
     n, N, points = 4, 9, 50_000
     text = (
         f"read as one vector, (18) gives {n} numbers, the same velocity everywhere; a field F = W ψ of {N} functions has {n} x {N} = {n * N} coefficients, and "
@@ -179,8 +179,8 @@ def table():
     Returns
     -------
     pandas.DataFrame
-        Columns ``printed, here, why, evidence`` (a sentence with its numbers) and ``shown`` (whether the computation shows the error; None
-        where there is nothing to compute).
+        Columns ``printed, here, why, evidence`` (a sentence with its numbers) and ``shown`` (whether the computation
+        shows the error; None where there is nothing to compute).
     """
     import pandas as pd
 
@@ -194,4 +194,5 @@ def table():
 def markdown(errors=None):
     """The table as Markdown, computed now if it is not at hand."""
     errors = table() if errors is None else errors
-    return files.markdown_table([("as printed", "here", "why", "shown by computing"), *errors[["printed", "here", "why", "evidence"]].itertuples(index=False)])
+    rows = errors[["printed", "here", "why", "evidence"]].itertuples(index=False)
+    return files.markdown_table([("as printed", "here", "why", "shown by computing"), *rows])

@@ -35,7 +35,8 @@ def replacing(path):
         temporary.chmod(0o666 & ~umask())  # mkstemp is private; a result is not
         os.replace(temporary, path)
     except OSError as error:
-        raise OSError(error.errno, f"{path} could not be written ({error.strerror or error}); nothing was left under that name") from error
+        reason = error.strerror or error
+        raise OSError(error.errno, f"{path} could not be written ({reason}); nothing was left under that name") from error
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -61,7 +62,7 @@ def between(text, begin, end, content, name="the page"):
         If a marker is missing or stands twice; the sentence calls the text ``name``.
     """
     if text.count(begin) != 1 or text.count(end) != 1:
-        raise ValueError(f"{name} must hold the lines {begin!r} and {end!r} once each, around the place for the table; put them back.")
+        raise ValueError(f"{name} must hold the lines {begin!r} and {end!r} once each, around the table; put them back.")
     before, rest = text.split(begin)
     return f"{before}{begin}\n{content}\n{end}{rest.split(end)[1]}"
 

@@ -1,9 +1,9 @@
-"""Numbers for a text, looked up in the tables: Jinja expressions between ``{{`` and ``}}``, each with a blank on both sides.
+"""Numbers for a text, looked up in the tables: Jinja expressions between ``{{`` and ``}}``, with blanks inside.
 
-``value(FILE, WHAT, COLUMN=VALUE, ...)`` looks into ``data/NAME.csv`` or ``figures/NAME.csv``. ``WHAT`` is a column, of which
-the choices must leave one row, or the min, max, median, mean, sum, count or largest (in size) of one, like ``median(nrmse)``.
-``parameter(STAGE, NAME)`` is a parameter that this stage ran with, ``claims.NAME`` a limit of `tras.claims`;
-``| number(FORMAT)`` formats any of them as Python does.
+``value(FILE, WHAT, COLUMN=VALUE, ...)`` looks into ``data/NAME.csv`` or ``figures/NAME.csv``. ``WHAT`` is a column, of
+which the choices must leave one row, or the min, max, median, mean, sum, count or largest (in size) of one, like
+``median(nrmse)``. ``parameter(STAGE, NAME)`` is a parameter that this stage ran with, ``claims.NAME`` a limit of
+`tras.claims`; ``| number(FORMAT)`` formats any of them as Python does.
 """
 
 import functools
@@ -75,7 +75,8 @@ def render(text, sources):
     try:
         return _ENVIRONMENT.from_string(text).render(value=value, parameter=parameter, claims=_LIMITS)
     except (jinja2.TemplateError, TypeError) as error:
-        raise ValueError(f"a lookup is not understood ({error}): write {{{{ value(FILE, WHAT, COLUMN=VALUE) | number(FORMAT) }}}}.") from None
+        usage = "{{ value(FILE, WHAT, COLUMN=VALUE) | number(FORMAT) }}"
+        raise ValueError(f"a lookup is not understood ({error}): write {usage}.") from None
 
 
 def number(value, spec="g"):
@@ -124,9 +125,10 @@ def table(spec, sources):
     Parameters
     ----------
     spec : dict
-        ``file``; ``where`` (column: value) chooses rows. Then either ``columns`` (column: heading), the first ``keys`` of which name the row, and
-        ``first`` many rows; or ``rows`` (column: heading) for the groups, and ``across`` (a column) with ``value`` or ``values`` (heading: value)
-        for the numbers, a value being like ``median(nrmse)``. ``format`` is one for all or, with ``columns``, column: format.
+        ``file``; ``where`` (column: value) chooses rows. Then either ``columns`` (column: heading), the first ``keys``
+        of which name the row, and ``first`` many rows; or ``rows`` (column: heading) for the groups, and ``across`` (a
+        column) with ``value`` or ``values`` (heading: value) for the numbers, a value being like ``median(nrmse)``.
+        ``format`` is one for all or, with ``columns``, column: format.
     sources : Sources
 
     Returns
@@ -148,7 +150,7 @@ def table(spec, sources):
     return list(spec["columns"].values()), [[*map(number, row, formats)] for row in cells], spec.get("keys", 1)
 
 
-# ------------------------------------------------------------------------------------------------------------------------- parts
+# --- parts ------------------------------------------------------------------------------------------------------------
 
 
 def _summary(rows, spec, name):

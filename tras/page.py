@@ -1,4 +1,4 @@
-"""One HTML page that needs no network: Markdown with formulas as MathML, tables, figures as data URIs, and the frame round them.
+"""One HTML page that needs no network: Markdown, formulas as MathML, tables, figures as data URIs, and their frame.
 
 Everything that comes from outside is escaped here. The page is well-formed XML too, which is what the tests check.
 """
@@ -66,10 +66,8 @@ def escape(text):
 def formula(tex, *, display=False):
     r"""A formula as MathML; ``\tag{7}`` at the end of a displayed one puts the number to its right.
 
-    Examples
-    --------
-    >>> formula("x^2")
-    '<math xmlns="http://www.w3.org/1998/Math/MathML" display="inline"><mrow><msup><mi>x</mi><mn>2</mn></msup></mrow></math>'
+    Examples -------- >>> formula("x^2") '<math xmlns="http://www.w3.org/1998/Math/MathML"
+    display="inline"><mrow><msup><mi>x</mi><mn>2</mn></msup></mrow></math>'
     """
     tex, tag = re.fullmatch(r"(?s)\s*(.*?)\s*(?:\\tag\{([^}]*)\})?\s*", tex).groups()
     mathml = latex2mathml.converter.convert(tex, display="block" if display else "inline")
@@ -82,7 +80,8 @@ def formula(tex, *, display=False):
 def table(head, rows, caption, *, keys=1, kind="numbers"):
     """A table whose first ``keys`` columns name the row; cells are HTML already, the caption too.
 
-    ``kind`` is "numbers" (columns of numbers stand to the right, no cell is broken), "prose" or "short": tables of sentences.
+    ``kind`` is "numbers" (columns of numbers stand to the right, no cell is broken), "prose" or "short": tables of
+    sentences.
     """
     columns = list(zip(*rows)) or [()] * len(head)
     right = [_NUMBER if i >= keys and kind == "numbers" and column and all(map(_is_number, column)) else "" for i, column in enumerate(columns)]
@@ -116,7 +115,7 @@ def figure(path, alt, caption, identity):
 
 
 def picture(folder, name):
-    """The file that shows the figure ``name`` best in a page: its SVG, or its PNG when that is missing or the SVG is large; None without any."""
+    """The file that shows the figure ``name`` best: its SVG, or its PNG where the SVG is missing or large; or None."""
     svg, png = folder / f"{name}.svg", folder / f"{name}.png"
     if svg.is_file() and (svg.stat().st_size <= _LARGEST_SVG or not png.is_file()):
         return svg
@@ -185,7 +184,7 @@ def frame(title, body, contents):
     )
 
 
-# ------------------------------------------------------------------------------------------------------------------------- parts
+# --- parts ------------------------------------------------------------------------------------------------------------
 
 
 def _is_number(cell):

@@ -1,11 +1,12 @@
 """Parameters of notebooks, read and checked before anything runs.
 
-The parameters of a notebook are the assignments of literals in its one cell tagged `parameters`; this cell gives each its
-default and its type. A parameter file has one section per notebook (`01_data_generation: {duration: 500.0}`). A name or a type
-that the cell does not know is an error here, where papermill alone would warn and go on with the default.
+The parameters of a notebook are the assignments of literals in its one cell tagged `parameters`; this cell gives each
+its default and its type. A parameter file has one section per notebook (`01_data_generation: {duration: 500.0}`). A
+name or a type that the cell does not know is an error here, where papermill alone would warn and go on with the
+default.
 
-The checks of types are ours: types made for pydantic from the defaults took as many lines, refused whole numbers as keys, and cost
-each stage 0.2 s of imports, while the sentences stayed ours.
+The checks of types are ours: types made for pydantic from the defaults took as many lines, refused whole numbers as
+keys, and cost each stage 0.2 s of imports, while the sentences stayed ours.
 """
 
 import ast
@@ -38,7 +39,7 @@ def notebook_defaults(notebook):
     tagged = [cell for cell in cells if "parameters" in cell.get("metadata", {}).get("tags", [])]
     if len(tagged) != 1:
         count = "no cell" if not tagged else f"{len(tagged)} cells"
-        raise ParameterError(f"{notebook} has {count} tagged `parameters`: tag exactly one code cell, the one with the defaults.")
+        raise ParameterError(f"{notebook} has {count} tagged `parameters`: tag just the code cell with the defaults.")
     source = "".join(tagged[0]["source"])
     try:
         body = ast.parse(source).body

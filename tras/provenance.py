@@ -1,7 +1,7 @@
-"""Where an artefact comes from: revision, parameters, seeds, versions, machine and times, as JSON beside it and never inside it.
+"""Where an artefact comes from: revision, parameters, seeds, versions, machine, times; as JSON beside it, never inside.
 
-Beside `data/train.nc` lies `data/provenance/train.nc.json`; the folders `provenance/` are not in git. `build/PROFILE/STAGE.json` holds
-the same for a whole stage.
+Beside `data/train.nc` lies `data/provenance/train.nc.json`; the folders `provenance/` are not in git.
+`build/PROFILE/STAGE.json` holds the same for a whole stage.
 """
 
 import hashlib
@@ -84,7 +84,7 @@ def checksum(path):
 
 
 def git_state(folder, outputs=()):
-    """Revision, and the files that differ from it other than ``outputs``; None, None, None outside git or without commits."""
+    """Revision, and the files other than ``outputs`` that differ from it; all None outside git or without commits."""
     try:
         revision = _git(folder, "rev-parse", "HEAD").strip()
         top = Path(_git(folder, "rev-parse", "--show-toplevel").strip())
@@ -111,7 +111,7 @@ def versions():
 
 
 def packages():
-    """Installed versions of the direct dependencies, which `environment.in` lists; None for one that is not installed."""
+    """Versions of the direct dependencies, which `environment.in` lists; None for one that is not installed."""
     requirements = ROOT / "environment.in"
     names = re.findall(r"^[A-Za-z0-9_.-]+", requirements.read_text(encoding="utf-8"), re.MULTILINE) if requirements.exists() else []
     installed = {}
@@ -147,4 +147,5 @@ def summary():
     state, libraries = git_state(ROOT), versions()
     revision = f"revision {state['revision'][:12]}{' with changes' if state['dirty'] else ''}" if state["revision"] else "no revision"
     machine = f"{processor()} ({' '.join(instructions()[-1:])})" if instructions() else processor()
-    return f"{revision}, Python {libraries['python']}, numpy {libraries['numpy']}, scipy {libraries['scipy']}, {sys.platform}, {machine}"
+    packages_used = ", ".join(f"{name} {libraries[name]}" for name in ("numpy", "scipy"))
+    return f"{revision}, Python {libraries['python']}, {packages_used}, {sys.platform}, {machine}"

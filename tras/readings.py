@@ -1,7 +1,7 @@
 """What the paper's text leaves open, as named options: each a point of the text, with its choices and one default.
 
-A set of choices is a `Readings`; `table` shows what there is, with the sentence of the paper that each option reads; `read_yaml` takes a
-file such as ``params/readings.yaml``. The study of all of them is `tras.grid`.
+A set of choices is a `Readings`; `table` shows what there is, with the sentence of the paper that each option reads;
+`read_yaml` takes a file such as ``params/readings.yaml``. The study of all of them is `tras.grid`.
 """
 
 from pathlib import Path
@@ -138,7 +138,8 @@ def table():
     Returns
     -------
     pandas.DataFrame
-        Columns ``option, choice, default`` (True for one choice of each option), ``meaning, paper``: the sentence that the option reads.
+        Columns ``option, choice, default`` (True for one choice of each option), ``meaning, paper``: the sentence that
+        the option reads.
     """
     import pandas as pd
 
@@ -167,12 +168,14 @@ def read_yaml(path, *sections):
     ----------
     path : str or Path
     *sections : str
-        Keys that lead to the mapping of options, for example ``"06_readings", "default"``. Options left out have their default.
+        Keys that lead to the mapping of options, for example ``"06_readings", "default"``. Options left out have their
+        default.
 
     Raises
     ------
     ReadingError
-        If the file cannot be read, is no mapping, or names what does not exist; the sentence begins with the file's name.
+        If the file cannot be read, is no mapping, or names what does not exist; the sentence begins with the file's
+        name.
     """
     path = Path(path)
     try:

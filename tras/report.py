@@ -1,8 +1,8 @@
 """The whole replication as one page that opens without network: `make report`.
 
-The story is docs/report.md. `tras.lookups` puts the tables' numbers into it; a fenced block (``figure``, ``table``, ``compare``, ``claims``,
-``errors``, ``readings``, ``plant``, ``provenance``) with YAML in it stands for what is made here.
-A section whose files are missing says so in one sentence.
+The story is docs/report.md. `tras.lookups` puts the tables' numbers into it; a fenced block (``figure``, ``table``,
+``compare``, ``claims``, ``errors``, ``readings``, ``plant``, ``provenance``) with YAML in it stands for what is made
+here. A section whose files are missing says so in one sentence.
 
 ``python -m tras.report build/paper/report.html --data data --figures figures --build build/paper``
 """
@@ -56,7 +56,7 @@ def report(story, sources):
     return page.frame(story.partition("\n")[0].lstrip("# "), body, contents), lacking
 
 
-# --- blocks --------------------------------------------------------------------------------------------------------------------
+# --- blocks -----------------------------------------------------------------------------------------------------------
 
 
 def _block(kind, spec, sources, convert):
@@ -154,7 +154,7 @@ def _sentence(text):
 
 
 def _provenance(spec, sources, inline):
-    """The records that `tras.runner` leaves beside executed notebooks: when and from which revision; everything else once where it is the same."""
+    """The records that `tras.runner` leaves beside executed notebooks; what several share stands there once."""
     records = {path.stem: lookups.record(path) for path in sorted(sources.build.glob("[0-9]*.json")) if path.with_suffix(".ipynb").is_file()}
     if not records:
         raise Lacking(f"no stage has left a record beside its executed notebook: {sources.command} runs them.")

@@ -1,7 +1,8 @@
 """The tables of README.md and docs/paper.md, each written between its two markers; none of their numbers is typed.
 
-``python -m tras.tables`` prints them, or those that are named; with ``--write`` it writes them into their pages (`make readme`); with
-``--check`` it says which page holds another one. `comparison` makes the table paper against ours, which `make all` prints.
+``python -m tras.tables`` prints them, or those that are named; with ``--write`` it writes them into their pages (`make
+readme`); with ``--check`` it says which page holds another one. `comparison` makes the table paper against ours, which
+`make all` prints.
 """
 
 import argparse
@@ -35,20 +36,22 @@ _METRICS = {"nrmse": "NRMSE (%)", "enr": "Enr", "bfr": "BFR (%)", "condition": "
 
 
 def comparison(metrics, identification):
-    """The numbers of the table: the metrics of both angles over the independent multisine recordings, and the conditioning.
+    """The numbers of the table: metrics of both angles over the independent multisines, and the conditioning.
 
     Parameters
     ----------
     metrics : pandas.DataFrame
-        As `tras.validation.score` gives it, with the columns ``kind`` ("window" or "free run"), ``input, model`` beside.
+        As `tras.validation.score` gives it, with the columns ``kind`` ("window" or "free run"), ``input, model``
+        beside.
     identification : pandas.DataFrame
         Columns ``input, model, condition``.
 
     Returns
     -------
     pandas.DataFrame
-        Columns ``kind, horizon, metric, angle, input, model, median, lowest, highest`` (over the recordings), ``windows, diverged``. The
-        paper's own numbers have the input ``paper``; the condition number of the liftings the kind ``fit``.
+        Columns ``kind, horizon, metric, angle, input, model, median, lowest, highest`` (over the recordings),
+        ``windows, diverged``. The paper's own numbers have the input ``paper``; the condition number of the liftings
+        the kind ``fit``.
     """
     import pandas as pd
 
@@ -79,7 +82,7 @@ def read(path):
 
 
 def markdown(rows):
-    """The table paper against ours: one row per metric and angle, one column per source; ``median (lowest to highest)``."""
+    """The table paper against ours: a row per metric and angle, a column per source; ``median (lowest to highest)``."""
     return markdown_table(_cells(rows))
 
 
@@ -120,7 +123,7 @@ def _number(row):
     return "{median:.{digits}f} ({lowest:.{digits}f} to {highest:.{digits}f})".format(**row, digits=digits)
 
 
-# --- methods beside ours ---------------------------------------------------------------------------------------------------------
+# --- methods beside ours ----------------------------------------------------------------------------------------------
 
 
 def methods(rows):
@@ -166,8 +169,8 @@ def methods_markdown(rows):
         lines.append([method, "; ".join(counts), *(_yaw_pitch(entry, *column) for column in _METHOD_COLUMNS)])
     if bound is None:
         return markdown_table(lines)
-    errors = _yaw_pitch(bound, "torque", "window")
-    sentence = f"The {_BOUND}, the plant's own equations with eight parameters from the same data, has {errors} % over {window}: the bound."
+    errors = f"{_yaw_pitch(bound, 'torque', 'window')} % over {window}"
+    sentence = f"The {_BOUND}, the plant's own equations with eight parameters from the same data, has {errors}: the bound."
     return f"{markdown_table(lines)}\n\n{sentence}"
 
 
@@ -181,11 +184,11 @@ def _yaw_pitch(entry, *column):
     return " / ".join(cells) + divergence if entry.get((*column, "yaw")) else "-"
 
 
-# --- the command -----------------------------------------------------------------------------------------------------------------
+# --- the command ------------------------------------------------------------------------------------------------------
 
 
 def _of(module, function="markdown"):
-    """A function of a module beside this one, which is imported when it is called: `make all` asks for one table and should be fast."""
+    """A function of a module beside this one, imported when it is called: `make all` prints one table, and fast."""
     return lambda *rows: getattr(importlib.import_module(f".{module}", __package__), function)(*rows)
 
 
@@ -212,11 +215,11 @@ def markers(name):
 
 def main(arguments=None):
     """Command line; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m tras.tables", description="Print the tables of the README and the docs, or write them there.")
+    parser = argparse.ArgumentParser(prog="python -m tras.tables", description="Print the tables of README and docs, or write them there.")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join(TABLES)}; all of them if none is named")
     parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the data (default: data)")
     parser.add_argument("--figures", type=Path, default=Path("figures"), help="folder of the figures (default: figures)")
-    parser.add_argument("--pages", type=Path, default=Path(), help="folder that holds README.md and docs/ (default: this one)")
+    parser.add_argument("--pages", type=Path, default=Path(), help="folder of README.md and docs/ (default: this one)")
     parser.add_argument("--write", action="store_true", help="write the tables into the pages, between their markers")
     parser.add_argument("--check", action="store_true", help="say whether the pages hold the tables as they are now")
     options = parser.parse_args(arguments)

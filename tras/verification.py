@@ -1,11 +1,11 @@
-"""Whether the artefacts of this machine are those of `reference/`: by their bytes, else by their numbers, and by how they look.
+"""Whether this machine's artefacts are those of `reference/`: by their bytes, else by their numbers and looks.
 
     python -m tras.verification ARTEFACT ...           # compare: `make verify`
     python -m tras.verification --bless ARTEFACT ...   # write reference/: `make bless`, and nothing else does
 
-Three levels. Bytes: SHA-256. Numbers, if the bytes differ: every column of a CSV table, every channel of a recording, every array of a
-model within `TOLERANCES`; whole numbers and text exactly. Looks: root mean square difference of small grey pictures. Only numbers
-outside tolerance, and files that are missing or cannot be read, make the exit status 1.
+Three levels. Bytes: SHA-256. Numbers, if the bytes differ: every column of a CSV table, every channel of a recording,
+every array of a model within `TOLERANCES`; whole numbers and text exactly. Looks: root mean square difference of small
+grey pictures. Only numbers outside tolerance, and files that are missing or cannot be read, make the exit status 1.
 """
 
 import argparse
@@ -20,17 +20,17 @@ from tras.files import replacing
 
 # No NumPy at the top: with equal bytes there is nothing to calculate.
 
-# The first pattern that fits: |ours - reference| <= rtol |reference| + atol (largest |reference| of the column) + FLOOR. Measured with
-# other BLAS kernels, two threads, and without AVX in BLAS, NumPy and libm (docs/verify.md): rtol and FLOOR were enough; atol is for
-# numbers on their way through zero.
+# The first pattern that fits: |ours - reference| <= rtol |reference| + atol (largest |reference| in a column) + FLOOR.
+# Measured with other BLAS kernels, two threads, and without AVX in BLAS, NumPy and libm (docs/verify.md): rtol and
+# FLOOR were enough; atol is for numbers on their way through zero.
 TOLERANCES = [
     # pattern, rtol, atol, why
     ("*.nc", 1e-9, 1e-12, "a stable closed loop forgets rounding: 4e-15 of a channel's largest value"),
-    ("*.npz", 1e-6, 1e-10, "rounding times the condition number of a fit: 7e-13 of a matrix's largest entry, 1e-3 of its smallest"),
+    ("*.npz", 1e-6, 1e-10, "rounding times a fit's condition number: 7e-13 of a matrix's largest entry, 1e-3 of its smallest"),
     ("*.csv", 1e-6, 1e-10, "errors of models, the smallest as differences of nearly equal numbers: 1e-7 of a value"),
 ]
 FLOOR = 1e-12  # smaller numbers are rounding in every unit used here: residuals that would be zero in exact arithmetic
-LOOKS = 2.0  # RMS of grey levels, 0 to 255; measured 0.0, while a line moved by its own width gives more (the tests try it)
+LOOKS = 2.0  # RMS of grey levels, 0 to 255; measured 0.0; a line moved by its own width gives more (see the tests)
 
 MANIFEST = "SHA256SUMS"  # `sha256sum -c reference/SHA256SUMS` reads it
 FAILURES = ("DIFFERS", "MISSING", "UNREADABLE")
@@ -38,7 +38,7 @@ FAILURES = ("DIFFERS", "MISSING", "UNREADABLE")
 Finding = collections.namedtuple("Finding", "artefact verdict detail share", defaults=("", 0.0))
 
 
-# --- comparison ------------------------------------------------------------------------------------------------------------------
+# --- comparison -------------------------------------------------------------------------------------------------------
 
 
 def tolerance(artefact):
@@ -140,7 +140,7 @@ def _compare_looks(artefact, copy):
     return Finding(artefact, "looks the same" if rms <= LOOKS else "looks different", f"RMS {rms:.2f} of 255")
 
 
-# --- the commands ----------------------------------------------------------------------------------------------------------------
+# --- the commands -----------------------------------------------------------------------------------------------------
 
 
 def read_manifest(reference):
@@ -174,7 +174,7 @@ def verify(artefacts, reference):
 
 
 def bless(artefacts, reference):
-    """Write the reference anew: copies, then the manifest; what no artefact needs any more is removed. The exit status."""
+    """Write the reference anew: copies, then the manifest; remove what no artefact needs any more. The exit status."""
     missing = [str(artefact) for artefact in artefacts if not artefact.is_file()]
     if missing:
         print(f"{', '.join(missing)} missing: make all first; {reference} is as it was.", file=sys.stderr)
