@@ -6,24 +6,10 @@ import numbers
 
 
 def number(name, value, low=-math.inf, high=math.inf, *, ends=True, give="", error=ValueError):
-    """Refuse what is not a finite number from ``low`` to ``high``.
+    """Refuse what is not a finite number from ``low`` to ``high``, or between them with ``ends=False``; True is none.
 
-    Parameters
-    ----------
-    name : str
-        The argument's name, for the sentence.
-    value : object
-        What was given; True and False are no numbers.
-    low, high : float
-    ends : bool
-        Whether ``low`` and ``high`` themselves are allowed.
-    give : str
-        What to give instead, where "a number from low to high" does not say enough.
-    error : type
-        The exception, a kind of ValueError.
+    The sentence says to ``give`` that instead, by default a number in this range; ``error`` is a kind of ValueError.
 
-    Examples
-    --------
     >>> number("level", 1.5, 0, 1, ends=False)
     Traceback (most recent call last):
         ...
@@ -35,10 +21,8 @@ def number(name, value, low=-math.inf, high=math.inf, *, ends=True, give="", err
 
 
 def whole_number(name, value, low=1, high=math.inf, *, give="", error=ValueError):
-    """Refuse what is not a whole number from ``low`` to ``high``; the parameters are those of `number`.
+    """Refuse what is not a whole number from ``low`` to ``high``; see `number`.
 
-    Examples
-    --------
     >>> whole_number("draws", True, 2)
     Traceback (most recent call last):
         ...
@@ -58,8 +42,6 @@ def seed(name, value, purpose):
 def did_you_mean(name, known):
     """The end of a sentence about a name that is not among those that are known.
 
-    Examples
-    --------
     >>> did_you_mean("sed", ["seed", "duration"]), did_you_mean("x", ["seed", "duration"])
     (": did you mean 'seed'?", ': choose one of seed, duration.')
     """

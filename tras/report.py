@@ -8,7 +8,6 @@ here. A section whose files are missing says so in one sentence.
 """
 
 import argparse
-import json
 import re
 import sys
 from pathlib import Path

@@ -2,7 +2,6 @@
 
 import inspect
 import itertools
-import math
 from typing import NamedTuple
 
 from sklearn.base import clone

@@ -13,7 +13,6 @@ import math
 import statistics
 import sys
 from pathlib import Path
-from typing import NamedTuple
 
 from tras.arguments import did_you_mean
 from tras.files import between, markdown_table, replacing
@@ -192,19 +191,12 @@ def _of(module, function="markdown"):
     return lambda *rows: getattr(importlib.import_module(f".{module}", __package__), function)(*rows)
 
 
-class _Table(NamedTuple):
-    page: str
-    file: str  # the CSV whose rows `markdown` takes; empty where it computes its own
-    markdown: callable
-    text: callable = None  # for a terminal; the Markdown if there is none
-
-
-TABLES = {
-    "table": _Table("README.md", "figures/table.csv", markdown, text),
-    "comparison": _Table("README.md", "data/comparison.csv", methods_markdown),
-    "claims": _Table("README.md", "data/claims.csv", _of("claims"), _of("claims", "text")),
-    "errors": _Table("docs/paper.md", "", _of("errata")),
-    "readings": _Table("docs/paper.md", "", _of("readings")),
+TABLES = {  # name -> (page, CSV file whose rows go in, if any; the table in Markdown; for a terminal, if that is another)
+    "table": ("README.md", "figures/table.csv", markdown, text),
+    "comparison": ("README.md", "data/comparison.csv", methods_markdown, None),
+    "claims": ("README.md", "data/claims.csv", _of("claims"), _of("claims", "text")),
+    "errors": ("docs/paper.md", "", _of("errata"), None),
+    "readings": ("docs/paper.md", "", _of("readings"), None),
 }
 
 
@@ -228,20 +220,18 @@ def main(arguments=None):
         for name in options.names or TABLES:
             if name not in TABLES:
                 raise ValueError(f"there is no table {name!r}{did_you_mean(name, TABLES)}")
-            table, rows = TABLES[name], []
-            if table.file:
-                folder, _, file = table.file.partition("/")
-                path = {"data": options.data, "figures": options.figures}[folder] / file
-                if not path.is_file():
-                    raise ValueError(f"{path} does not exist; `make all` makes it.")
-                rows = [read(path)]
-            content, page = table.markdown(*rows), options.pages / table.page
+            page, file, as_markdown, as_text = TABLES[name]
+            page, path = options.pages / page, (options.data if file.startswith("data/") else options.figures) / Path(file).name
+            if file and not path.is_file():
+                raise ValueError(f"{path} does not exist; `make all` makes it.")
+            rows = [read(path)] if file else []
+            content = as_markdown(*rows)
             if options.write or options.check:
                 pages[page] = pages.get(page) or _page(page)
             if options.write:
                 pages[page] = between(pages[page], *markers(name), content, page)
                 continue
-            print(table.text(*rows) if table.text else content)
+            print(as_text(*rows) if as_text else content)
             if options.check and content not in pages[page]:
                 print(f"\n{page} holds another table; `make readme` writes this one into it.")
         for page in pages if options.write else ():
