@@ -1,4 +1,7 @@
-"""Text tables (.csv): separators, decimal commas, units and times as loggers and spreadsheets write them."""
+"""Text tables (.csv): separators, decimal commas, units and times as loggers and spreadsheets write them.
+
+pandas writes them. It does not read them, because it does not say on which line of the file a wrong cell stands.
+"""
 
 import csv
 import datetime
