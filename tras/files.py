@@ -53,18 +53,26 @@ def markdown_table(rows):
     return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, ["---"] * len(head), *body))
 
 
-def between(text, begin, end, content, name="the page"):
-    """``text`` with ``content`` in place of what stands between the lines ``begin`` and ``end``.
+def write_between(path, begin, end, content):
+    """Write ``content`` into the file ``path``, in place of what stands between the lines ``begin`` and ``end``.
 
     Raises
     ------
     ValueError
-        If a marker is missing or stands twice; the sentence calls the text ``name``.
+        If the file cannot be read, or a marker is missing or stands twice.
+    OSError
+        If it cannot be written; it is then as it was.
     """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ValueError(f"{path} cannot be read ({error.strerror}): check the path.") from error
     if text.count(begin) != 1 or text.count(end) != 1:
-        raise ValueError(f"{name} must hold the lines {begin!r} and {end!r} once each, around the table; put them back.")
+        raise ValueError(f"{path} must hold the lines {begin!r} and {end!r} once each, around the table; put them back.")
     before, rest = text.split(begin)
-    return f"{before}{begin}\n{content}\n{end}{rest.split(end)[1]}"
+    with replacing(path) as temporary:
+        temporary.write_text(f"{before}{begin}\n{content}\n{end}{rest.split(end)[1]}", encoding="utf-8")
 
 
 def project_root(start=None):

@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 
 from tras.arguments import did_you_mean
-from tras.files import between, markdown_table, replacing
+from tras.files import markdown_table, write_between
 
 # No pandas at the top: printing one table is all that `make all` does when nothing has changed.
 
@@ -215,7 +215,6 @@ def main(arguments=None):
     parser.add_argument("--write", action="store_true", help="write the tables into the pages, between their markers")
     parser.add_argument("--check", action="store_true", help="say whether the pages hold the tables as they are now")
     options = parser.parse_args(arguments)
-    pages = {}
     try:
         for name in options.names or TABLES:
             if name not in TABLES:
@@ -226,28 +225,16 @@ def main(arguments=None):
                 raise ValueError(f"{path} does not exist; `make all` makes it.")
             rows = [read(path)] if file else []
             content = as_markdown(*rows)
-            if options.write or options.check:
-                pages[page] = pages.get(page) or _page(page)
             if options.write:
-                pages[page] = between(pages[page], *markers(name), content, page)
+                write_between(page, *markers(name), content)
                 continue
             print(as_text(*rows) if as_text else content)
-            if options.check and content not in pages[page]:
+            if options.check and content not in page.read_text(encoding="utf-8"):
                 print(f"\n{page} holds another table; `make readme` writes this one into it.")
-        for page in pages if options.write else ():
-            with replacing(page) as temporary:
-                temporary.write_text(pages[page], encoding="utf-8")
     except (OSError, ValueError, KeyError) as error:
         print(error, file=sys.stderr)
         return 2
     return 0
-
-
-def _page(path):
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ValueError(f"{path} cannot be read ({error.strerror}): check the path.") from error
 
 
 if __name__ == "__main__":
