@@ -87,7 +87,7 @@ help: ## list the targets (this text)
 setup: $(READY) ## create .venv from environment.txt (the other targets do it by themselves)
 
 all: stages ## everything: data, models, figures, further studies; prints the table
-	@$(PY) -m tras.tables $(FIGURES)/table.csv $(if $(filter paper,$(PROFILE)),--check README.md)
+	@$(PY) -m tras.tables table --figures $(FIGURES) $(if $(filter paper,$(PROFILE)),--check)
 
 stages: $(STAMPS) $(OUTPUTS)
 
@@ -149,13 +149,9 @@ verify bless:
 	@echo "make $@ is for PROFILE=paper, whose numbers reference/ holds; for PROFILE=$(PROFILE) there is no reference." >&2; exit 2
 endif
 
-readme: $(READY) ## write the table into README.md, the errors into docs/paper.md
+readme: $(READY) ## write the tables of README.md and docs/paper.md
 	@$(MAKE) PROFILE=paper stages
-	@$(PY) -m tras.tables figures/table.csv --readme README.md
-	@$(PY) -m tras.comparison_table data/comparison.csv --readme README.md
-	@$(PY) -m tras.claims data/claims.csv --readme README.md
-	@$(PY) -m tras.errata docs/paper.md
-	@$(PY) -m tras.readings docs/paper.md
+	@$(PY) -m tras.tables --write
 
 bench: $(READY) ## beside other packages: time, memory, accuracy; BENCH="--help" lists parts of it
 	@$(PY) -m benchmarks.bench $(BENCH)

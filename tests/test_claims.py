@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 import tras
-from tras import claims, effects, generator, readings
+from tras import claims, effects, generator, readings, tables
 
 SEEDS = [(1, 0, 2), (1, 0, 3), (2, 0, 2)]  # train_seed, draw, validation_seed
 
@@ -257,14 +257,16 @@ def test_all_ten_have_a_verdict_and_evidence(judged):
 def test_the_readme_holds_the_table(judged, tmp_path, capsys):
     judged.to_csv(tmp_path / "claims.csv", index=False)
     readme = tmp_path / "README.md"
-    readme.write_text(f"a\n{claims.BEGIN}\n{claims.END}\nb\n")
-    assert claims.main([str(tmp_path / "claims.csv"), "--readme", str(readme)]) == 0
+    begin, end = tables.markers("claims")
+    readme.write_text(f"a\n{begin}\n{end}\nb\n")
+    call = ["claims", f"--data={tmp_path}", f"--pages={tmp_path}"]
+    assert tables.main([*call, "--write"]) == 0
     text = readme.read_text()
     assert all(f"| {row.claim} | {row.statement} | **{row.verdict}" in text for row in judged.itertuples()) and text.endswith("b\n")
-    assert claims.main([str(tmp_path / "claims.csv")]) == 0 and capsys.readouterr().out.count("\n") == 10
+    assert tables.main(call) == 0 and capsys.readouterr().out.count("\n") == 10
     readme.write_text("no markers")
-    assert claims.main([str(tmp_path / "claims.csv"), "--readme", str(readme)]) == 2 and "must hold" in capsys.readouterr().err
-    assert claims.main([str(tmp_path / "none.csv")]) == 2 and "make all" in capsys.readouterr().err
+    assert tables.main([*call, "--write"]) == 2 and "must hold" in capsys.readouterr().err
+    assert tables.main([call[0], f"--data={tmp_path / 'none'}"]) == 2 and "make all" in capsys.readouterr().err
 
 
 def test_a_singular_K_has_the_eigenvalue_zero():

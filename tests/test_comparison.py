@@ -6,7 +6,7 @@ import pytest
 from sklearn.base import clone
 
 import tras
-from tras import comparison, comparison_table, figures, figures_comparison
+from tras import comparison, figures, figures_comparison, tables
 
 FEW = ("DMDc", "Koopman, the paper's", "grey box")
 
@@ -143,25 +143,27 @@ def test_a_table_without_its_columns_is_refused(draw):
 def test_the_readme_holds_the_table(results, tmp_path, capsys):
     results["scores"].to_csv(tmp_path / "comparison.csv", index=False)
     readme = tmp_path / "README.md"
-    readme.write_text(f"a\n{comparison_table.BEGIN}\n{comparison_table.END}\nb\n")
-    assert comparison_table.main([str(tmp_path / "comparison.csv"), "--readme", str(readme)]) == 0
+    begin, end = tables.markers("comparison")
+    readme.write_text(f"a\n{begin}\n{end}\nb\n")
+    call = ["comparison", f"--data={tmp_path}", f"--pages={tmp_path}"]
+    assert tables.main([*call, "--write"]) == 0
     text = readme.read_text()
     assert text.count("\n| DMDc | 28 |") == 1 and "grey box, the plant's own equations" in text and text.endswith("b\n") and "| grey box" not in text
     error = results["scores"].query("method == 'DMDc' and input == 'torque' and horizon == 1 and angle == 'yaw' and recording == 'multisine 2'")["nrmse"].iloc[0]
     assert f"| {error:.3g} / " in text
-    assert comparison_table.main([str(tmp_path / "comparison.csv")]) == 0 and "| DMDc | 28 |" in capsys.readouterr().out
+    assert tables.main(call) == 0 and "| DMDc | 28 |" in capsys.readouterr().out
     readme.write_text("no markers")
-    assert comparison_table.main([str(tmp_path / "comparison.csv"), "--readme", str(readme)]) == 2 and "must hold" in capsys.readouterr().err
-    assert comparison_table.main([str(tmp_path / "none.csv")]) == 2 and "make all" in capsys.readouterr().err
+    assert tables.main([*call, "--write"]) == 2 and "must hold" in capsys.readouterr().err
+    assert tables.main([call[0], f"--data={tmp_path / 'none'}"]) == 2 and "make all" in capsys.readouterr().err
     with pytest.raises(ValueError, match="no multisine"):
-        comparison_table.summary([])
+        tables.methods([])
 
 
 def test_lost_predictions_stand_in_the_table():
     about = {"method": "M", "input": "torque", "recording": "multisine 2", "parameters": "7"}
     rows = [{**about, "horizon": h, "angle": angle, "nrmse": "" if h == "500" else "1.5", "windows": "4", "diverged": "4" if h == "500" else "1"}
             for h in ("6", "500") for angle in ("yaw", "pitch")]  # fmt: skip
-    assert "| M | 7 | - | 1.5 / 1.5 (1 of 4 diverged) | - / - (4 of 4 diverged) |" in comparison_table.markdown(rows)
+    assert "| M | 7 | - | 1.5 / 1.5 (1 of 4 diverged) | - / - (4 of 4 diverged) |" in tables.methods_markdown(rows)
 
 
 def test_as_many_windows_as_metrics_count(results):

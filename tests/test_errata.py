@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tras import errata, files
+from tras import errata, files, tables
 from tras.plant import PlantParameters, PrintedPlant
 
 
@@ -38,11 +38,12 @@ def test_a_repaired_error_would_be_noticed(monkeypatch):
 
 def test_command_line_writes_between_the_markers(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(errata, "ERRORS", errata.ERRORS[9:11])
-    page = tmp_path / "page.md"
-    page.write_text(f"before\n{errata.BEGIN}\nold\n{errata.END}\nafter\n")
-    assert errata.main([str(page)]) == 0
+    page, (begin, end), call = tmp_path / "docs" / "paper.md", tables.markers("errors"), ["errors", "--write", f"--pages={tmp_path}"]
+    page.parent.mkdir()
+    page.write_text(f"before\n{begin}\nold\n{end}\nafter\n")
+    assert tables.main(call) == 0
     assert "50001" in page.read_text() and "old" not in page.read_text() and page.read_text().startswith("before\n")
     page.write_text("no markers")
-    assert errata.main([str(page)]) == 2 and "must hold" in capsys.readouterr().err
-    assert errata.main([str(tmp_path / "none.md")]) == 2
-    assert np.all([path.name == "page.md" for path in tmp_path.iterdir()])
+    assert tables.main(call) == 2 and "must hold" in capsys.readouterr().err
+    assert tables.main([*call[:2], f"--pages={tmp_path / 'none'}"]) == 2 and "paper.md cannot be read" in capsys.readouterr().err
+    assert np.all([path.name == "paper.md" for path in page.parent.iterdir()])

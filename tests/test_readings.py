@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tras import readings
+from tras import readings, tables
 from tras.readings import OPTIONS, ReadingError, Readings
 
 ROOT = Path(__file__).parent.parent
@@ -98,15 +98,17 @@ def test_the_table_holds_every_choice_with_the_papers_words():
 
 
 def test_the_command_writes_the_table_and_names_what_is_missing(tmp_path, capsys):
-    document = tmp_path / "d.md"
-    document.write_text(f"before\n{readings.BEGIN}\nold\n{readings.END}\nafter\n")
-    assert readings.main([str(document)]) == 0 == readings.main([str(document)])
-    assert document.read_text() == f"before\n{readings.BEGIN}\n{readings.markdown()}\n{readings.END}\nafter\n"
+    document, (begin, end) = tmp_path / "docs" / "paper.md", tables.markers("readings")
+    document.parent.mkdir()
+    document.write_text(f"before\n{begin}\nold\n{end}\nafter\n")
+    call = ["readings", "--write", f"--pages={tmp_path}"]
+    assert tables.main(call) == 0 == tables.main(call)
+    assert document.read_text() == f"before\n{begin}\n{readings.markdown()}\n{end}\nafter\n"
     document.write_text("no markers")
-    assert readings.main([str(document)]) == 2 == readings.main([str(tmp_path / "none.md")])
-    assert "d.md must hold the lines" in (said := capsys.readouterr().err) and "none.md cannot be read" in said
+    assert tables.main(call) == 2 == tables.main([*call[:2], f"--pages={tmp_path / 'none'}"])
+    assert "paper.md must hold the lines" in (errors := capsys.readouterr().err) and "none/docs/paper.md cannot be read" in errors
 
 
 def test_the_documentation_holds_the_table():
-    """docs/paper.md, "What the text leaves open": written by `python -m tras.readings docs/paper.md`."""
+    """docs/paper.md, "What the text leaves open": written by `make readme`."""
     assert readings.markdown() in (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")

@@ -261,7 +261,7 @@ def test_a_record_without_its_notebook_is_no_run(copy):
 
 def test_headings_that_are_alike_have_names_of_their_own():
     contents = []
-    text = page.converter(None, None, contents)("# A\n\n## It's so\n\n## It's so\n\n### *It* is\n")
+    text = page.converter(None, contents)("# A\n\n## It's so\n\n## It's so\n\n### *It* is\n")
     assert contents == [(2, "its-so", "It&#x27;s so"), (2, "its-so-2", "It&#x27;s so"), (3, "it-is", "<em>It</em> is")]
     assert '<h2 id="its-so-2">' in text
 
@@ -355,27 +355,31 @@ def test_the_same_inputs_give_the_same_bytes(whole, shown, capsys):
 
 
 LOOKUPS = [
-    ("data/x.csv: v where k=a | .2f", "1.50"),
-    ("data/x.csv: v where n=2 | .3g", "2.5"),
-    ("data/x.csv: max(v)", "4"),
-    ("data/x.csv: median(v) where t=two words, k=b | #.3g", "3.25"),
-    ("data/x.csv: count(v) where k=none", "0"),
-    ("data/x.csv: sum(v) | d", "8"),
-    ("data/x.csv: largest(s)", "3"),
-    ("data/x.csv: count(v) where n=>1", "2"),
-    ("data/x.csv: k where n=3", "b"),
-    ("data/x.csv: e where n=1", "–"),
-    ("01_stage: duration | g", "500"),
-    ("claims: HIGH_BFR | g", "90"),
+    ('value("data/x.csv", "v", k="a") | number(".2f")', "1.50"),
+    ('value("data/x.csv", "v", n=2) | number(".3g")', "2.5"),
+    ('value("data/x.csv", "max(v)")', "4"),
+    ('value("data/x.csv", "median(v)", t="two words", k="b") | number("#.3g")', "3.25"),
+    ('value("data/x.csv", "count(v)", k="none")', "0"),
+    ('value("data/x.csv", "sum(v)") | number("d")', "8"),
+    ('value("data/x.csv", "largest(s)")', "3"),
+    ('value("data/x.csv", "count(v)", n=">1")', "2"),
+    ('value("data/x.csv", "k", n=3)', "b"),
+    ('value("data/x.csv", "e", n=1)', "–"),
+    ('parameter("01_stage", "duration") | number("g")', "500"),
+    ('claims.HIGH_BFR | number("g")', "90"),
 ]
 REFUSED = [
-    ("data/x.csv: v where k=b", Lacking, "data/x.csv has 2 rows for one number, `v`"),
-    ("data/x.csv: v where k=c", Lacking, "has 0 rows"),
-    ("data/x.csv: w", Lacking, "no column `w`"),
-    ("data/x.csv: v where w=1", Lacking, "no column `w`"),
-    ("data/y.csv: v", Lacking, "data/y.csv is not there: `make all` makes it"),
-    ("01_stage: durration", Lacking, "01_stage has no parameter `durration`"),
-    ("nonsense", ValueError, "{{ nonsense }} is not understood"),
+    ('value("data/x.csv", "v", k="b")', Lacking, "data/x.csv has 2 rows for one number, `v`"),
+    ('value("data/x.csv", "v", k="c")', Lacking, "has 0 rows"),
+    ('value("data/x.csv", "w")', Lacking, "no column `w`"),
+    ('value("data/x.csv", "v", w=1)', Lacking, "no column `w`"),
+    ('value("data/y.csv", "v")', Lacking, "data/y.csv is not there: `make all` makes it"),
+    ('parameter("01_stage", "durration")', Lacking, "01_stage has no parameter `durration`"),
+    ("nonsense", ValueError, "a lookup is not understood ('nonsense' is undefined)"),
+    ("claims.HIGH_BFT", ValueError, "no attribute 'HIGH_BFT'"),
+    ("value(", ValueError, "a lookup is not understood"),
+    ("value()", ValueError, "a lookup is not understood"),
+    ('value("data/x.csv", "v", n=2) | number("z!")', ValueError, "Unknown format code"),
 ]
 
 
@@ -391,13 +395,13 @@ def small(tmp_path):
 
 @pytest.mark.parametrize("text, expected", LOOKUPS)
 def test_lookups(small, text, expected):
-    assert lookups.look_up(text, small) == expected
+    assert lookups.render(f"a {{{{ {text} }}}} b\n", small) == f"a {expected} b\n"
 
 
 @pytest.mark.parametrize("text, error, message", REFUSED)
 def test_lookups_that_find_nothing(small, text, error, message):
     with pytest.raises(error) as caught:
-        lookups.look_up(text, small)
+        lookups.render(f"{{{{ {text} }}}}", small)
     assert message in str(caught.value)
 
 
@@ -413,7 +417,13 @@ def test_large_drawings_are_shown_as_png(tmp_path):
 
 def test_the_command_names_the_profile(small):
     with pytest.raises(Lacking, match="`make all PROFILE=smoke` makes it"):
-        lookups.look_up("data/y.csv: v", small._replace(build=Path("build/smoke")))
+        lookups.render('{{ value("data/y.csv", "v") }}', small._replace(build=Path("build/smoke")))
+
+
+def test_what_is_looked_up_is_text_and_formulas_stay(small):
+    write(small.data / "z.csv", "k", [("**a** <b> `c` $d$ {{ e }}",)])
+    html = page.converter(None, [])(lookups.render('$\\frac{{a}}{{b}}$ {{ value("data/z.csv", "k") }}', small))
+    assert text_of(ElementTree.fromstring(html)).endswith("**a** <b> `c` $d$ {{ e }}") and html.count("<math") == 1 and "<mfrac>" in html
 
 
 # --- in a browser --------------------------------------------------------------------------------------------------------------

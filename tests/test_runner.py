@@ -51,8 +51,8 @@ def run(notebook, *arguments):
 # --- parameters: nothing is started for a wrong one ----------------------------------------------------------------------------
 
 MISTAKES = [
-    ("durration: 3.0", r"no parameter `durration`: did you mean `duration`\?"),
-    ("zzz: 3.0", r"no parameter `zzz`: there are seed, duration, clip"),
+    ("durration: 3.0", r"no parameter `durration`: did you mean 'duration'\?"),
+    ("zzz: 3.0", r"no parameter `zzz`: choose one of seed, duration, clip"),
     ("seed: 1.5", r"`seed` must be a whole number \(its default is 1\), found 1.5 \(number\)"),
     ("seed: true", r"`seed` must be a whole number .* found True \(true or false\)"),
     ("seed: null", r"`seed` must be a whole number .* found None"),
@@ -95,7 +95,7 @@ def test_right_parameters_pass_with_the_defaults_types():
 CALLS = [
     (["--params", "none.yaml"], r"parameter file none.yaml cannot be read"),
     (["--set", "seed"], r"--set seed is not understood: write --set name=value"),
-    (["--set", "sed=3"], r"no parameter `sed`: did you mean `seed`"),
+    (["--set", "sed=3"], r"no parameter `sed`: did you mean 'seed'"),
     (["--set", "duration=1e3"], r"write 1.0e\+3 without quotes"),
 ]
 
@@ -111,7 +111,7 @@ def test_a_section_without_a_notebook_is_refused(notebook, capsys):
     params = notebook.parent / "params.yaml"
     params.write_text("01_stag:\n  seed: 1\n")
     assert run(notebook, "--params", params)[0] == 2
-    assert "no such notebook: did you mean `01_stage`?" in capsys.readouterr().err
+    assert "no such notebook: did you mean '01_stage'?" in capsys.readouterr().err
 
 
 NOTEBOOKS = [

@@ -183,7 +183,7 @@ def built(project):
     for name in names:
         Path(name).write_text("1")
     stale()
-    Path("build/01_fit.json").write_text(json.dumps({"outputs": {name: provenance.written(Path(name)) for name in names}}))
+    Path("build/01_fit.json").write_text(json.dumps({"outputs": {name: provenance.file_stamp(Path(name)) for name in names}}))
     Path("build/01_fit.ipynb").touch()
     assert stale() == []
     return project

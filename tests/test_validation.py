@@ -149,20 +149,24 @@ def test_rendering_shows_paper_range_condition_and_divergence(tmp_path, capsys):
     assert "| Enr, yaw, 6 s windows | not given | 0.0140 (0.0110 to 0.0190) |" in text
     assert "| 1.2e+02 |" in text
     readme = tmp_path / "README.md"
-    readme.write_text(f"before\n{tables.BEGIN}\nold\n{tables.END}\nafter\n")
-    assert tables.main([str(tmp_path / "table.csv"), "--check", str(readme)]) == 0
+    begin, end = tables.markers("table")
+    readme.write_text(f"before\n{begin}\nold\n{end}\nafter\n")
+    call = ["table", f"--figures={tmp_path}", f"--pages={tmp_path}"]
+    assert tables.main([*call, "--check"]) == 0
     assert "holds another table" in capsys.readouterr().out
-    tables.main([str(tmp_path / "table.csv"), "--readme", str(readme)])
-    assert readme.read_text() == f"before\n{tables.BEGIN}\n{text}\n{tables.END}\nafter\n"
-    tables.main([str(tmp_path / "table.csv"), "--check", str(readme)])
+    tables.main([*call, "--write"])
+    assert readme.read_text() == f"before\n{begin}\n{text}\n{end}\nafter\n"
+    tables.main([*call, "--check"])
     assert "holds another table" not in capsys.readouterr().out
 
 
 def test_missing_files_and_markers_are_named(tmp_path, capsys):
-    assert tables.main([str(tmp_path / "none.csv")]) == 2
-    assert "none.csv does not exist" in capsys.readouterr().err
-    with pytest.raises(ValueError, match="must hold"):
-        tables.into_readme("no markers", tables.read(ROOT / "figures" / "table.csv"))
+    assert tables.main(["table", f"--figures={tmp_path / 'none'}"]) == 2
+    assert "none/table.csv does not exist" in capsys.readouterr().err
+    (tmp_path / "README.md").write_text("no markers")
+    assert tables.main(["table", f"--figures={ROOT / 'figures'}", f"--pages={tmp_path}", "--write"]) == 2
+    assert "README.md must hold" in capsys.readouterr().err and (tmp_path / "README.md").read_text() == "no markers"
+    assert tables.main(["tables"]) == 2 and "there is no table 'tables': did you mean 'table'?" in capsys.readouterr().err
 
 
 def test_the_readme_holds_the_committed_table():

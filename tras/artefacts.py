@@ -1,7 +1,8 @@
-"""What is in an artefact, for comparison: columns of numbers, or a small grey picture; and their copies in `reference/`.
+"""What an artefact holds, for comparison: columns of numbers, or a small grey picture; and the copies in `reference/`.
 
-A copy is text or a small picture: a table (.csv) as it is, thinned if it is long; a recording (.nc) as a thinned table; a model (.npz)
-with one line a number, long arrays thinned; a picture (.png) in grey at a quarter of the size, of an animation (.gif) some frames, one below the other.
+A copy is text or a small picture: a table (.csv) as it is, thinned if it is long; a recording (.nc) as a thinned table;
+a model (.npz) with one line per number, long arrays thinned; a picture (.png) in grey at a quarter of the size, of an
+animation (.gif) some frames, one below the other.
 """
 
 import collections
@@ -20,7 +21,7 @@ PICTURES = (".png", ".gif")
 FRAMES = 5  # of an animation, from the first to the last
 
 
-# --- artefacts as columns of numbers ---------------------------------------------------------------------------------------------
+# --- artefacts as columns of numbers ----------------------------------------------------------------------------------
 
 
 def read_columns(path):
@@ -102,11 +103,11 @@ def text(value):
     return f"{value:.12g}" if isinstance(value, float) else str(value)
 
 
-# --- their copies in reference/ --------------------------------------------------------------------------------------------------
+# --- their copies in reference/ ---------------------------------------------------------------------------------------
 
 
 def copy_of(artefact, reference):
-    """Where the copy of an artefact lies in the folder ``reference``, None for a kind of which only the checksum is kept."""
+    """Where an artefact's copy lies in the folder ``reference``, None for a kind that has only a checksum there."""
     if artefact.suffix not in (".csv", ".nc", ".npz", *PICTURES):
         return None
     if artefact.suffix == ".gif":
@@ -130,16 +131,16 @@ def write_copy(artefact, copy):
 
 
 def _write_thinned(columns, copy):
-    """Some of the rows: their numbers and one column a column, or one line a number where lengths differ."""
+    """Write some of the rows: their numbers beside the columns, or one line per number where lengths differ."""
     import numpy as np
 
-    kept = {name: np.unique(np.linspace(0, len(values) - 1, ROWS).round().astype(int)) for name, values in columns.items()}
+    selection = {name: np.unique(np.linspace(0, len(values) - 1, ROWS).round().astype(int)) for name, values in columns.items()}
     if len({len(values) for values in columns.values()}) == 1:
-        rows = next(iter(kept.values()))
+        rows = next(iter(selection.values()))
         lines = [("#row", *columns), *zip(rows, *([text(v) for v in values[rows].tolist()] for values in columns.values()))]
     else:
         lines = [("#array", "#row", "#value")]
-        lines += [(name, row, text(values[row].item())) for name, values in columns.items() for row in kept[name]]
+        lines += [(name, row, text(values[row].item())) for name, values in columns.items() for row in selection[name]]
     with replacing(copy) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows(lines)
 

@@ -1,7 +1,7 @@
 """Results in small files, each under the hash of what it depends on: its options and the code that computes it.
 
-A result that is there is not computed again; one whose options or code changed has another name. A file that is damaged, or that holds
-something else than its name says, is said and computed again.
+A result that is there is not computed again; one whose options or code changed has another name. A file that is
+damaged, or that holds something else than its name says, is computed again, with a sentence that says so.
 """
 
 import functools
@@ -13,14 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from tras.files import replacing
+from tras.provenance import versions
 from tras.staleness import Package, digest
 
 
 @functools.cache
 def code_digest(*modules):
-    """Digest of modules of this package and of all that they need in turn, as syntax trees, with Python's and the libraries' versions."""
-    from tras.recording import versions
-
+    """Digest of modules and all that they need in turn, as syntax trees, and of Python's and libraries' versions."""
     package, parts = _package(), {}
     for module in sorted(package.closure(set(modules))):
         parts.update(package.fingerprint(module))
@@ -53,7 +52,7 @@ def write(path, options, value):
 
 
 def read(path, options, say=None):
-    """What `write` has stored for these options; None if there is nothing, or nothing sound, which is said."""
+    """What `write` has stored for these options; None if there is nothing, or nothing sound, which ``say`` is told."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         sound = content["options"] == options and content["check"] == digest(json.dumps(content["value"], sort_keys=True))
@@ -71,7 +70,7 @@ def write_arrays(path, **arrays):
 
 
 def read_arrays(path, say=None):
-    """What `write_arrays` has stored: a dict; None if there is nothing, or nothing sound, which is said."""
+    """The dict that `write_arrays` has stored; None if there is nothing, or nothing sound, which ``say`` is told."""
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}

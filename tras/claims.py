@@ -1,16 +1,11 @@
 """The paper's claims, each with a verdict and its evidence: computed from the tables of the studies, never typed.
 
-What counts, decided before looking: a number of the paper is met when it lies within the range over our seeds, 10 % wider on each side; "low" means an
-error to norm ratio of at most 0.1, "high" a best fit ratio of at least 90 %, "superior" an error at least 5 % smaller in both angles, for every seed.
-
-``python -m tras.claims data/claims.csv`` prints the table; with ``--readme README.md`` writes it there.
+What counts, decided before looking: a number of the paper is met when it lies within the range over our seeds, 10 %
+wider on each side; "low" means an error to norm ratio of at most 0.1, "high" a best fit ratio of at least 90 %,
+"superior" an error at least 5 % smaller in both angles, for every seed.
 """
 
-import argparse
-import csv
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 
@@ -19,7 +14,6 @@ from tras import files
 REPRODUCED, NAMED, NOT, UNCHECKABLE = VERDICTS = (
     "reproduced", "reproduced only under a named reading", "not reproduced", "not checkable",
 )  # fmt: skip
-BEGIN, END = "<!-- claims: written by `make readme` -->", "<!-- end of claims -->"
 COLUMNS = ("claim", "statement", "verdict", "quantity", "value", "low", "high", "reading", "evidence", "figure", "command")
 WIDER, LOW_ENR, HIGH_BFR, BETTER = 1.1, 0.1, 90.0, 0.95
 OWN, LINEAR, BOUND = "Koopman, the paper's", ("DMDc", "N4SID"), "grey box"  # methods of 07_comparison
@@ -32,14 +26,16 @@ def evaluate(tables, models):
     Parameters
     ----------
     tables : dict of str to pandas.DataFrame
-        ``readings`` (06_readings), ``metrics`` (03_validation), ``length`` (robustness_length of 05_robustness), ``comparison`` (07_comparison).
+        ``readings`` (06_readings), ``metrics`` (03_validation), ``length`` (robustness_length of 05_robustness),
+        ``comparison`` (07_comparison).
     models : dict of str to KoopmanModel
         Vector fields with torques as input, of 02_identification; the first is the paper's dictionary.
 
     Returns
     -------
     pandas.DataFrame
-        One row a claim, columns `COLUMNS`. ``value, low, high`` belong to ``quantity``; low and high are the extremes over seeds or cases.
+        One row per claim, columns `COLUMNS`. ``value, low, high`` belong to ``quantity``; low and high are the extremes
+        over seeds or cases.
     """
     import pandas as pd
 
@@ -59,7 +55,7 @@ def evaluate(tables, models):
 
 
 def nrmse(grid, angle):
-    """C1, C2: the paper's number against the default reading, and against all readings, which must meet both numbers at once."""
+    """C1, C2: the paper's number against the default reading, and all readings, which must meet both at once."""
     from tras import effects, readings
 
     every = effects.nearest(grid)
@@ -69,19 +65,19 @@ def nrmse(grid, angle):
     named = len(met) > 0
     ours = default.iloc[0] if len(default) else None
     verdict = REPRODUCED if ours is not None and _meets(default, angle).iloc[0] else NAMED if named else NOT
-    shown = met.iloc[0] if named else best
+    nearest = met.iloc[0] if named else best
     readings_that = f"{len(met)} of {len(every)} readings meet both numbers at once" if named else f"none of {len(every)} readings meets both numbers at once"
     evidence = (
-        f"default reading {_range(ours, angle)}; {readings_that}; the nearest ({_name(shown)}) has yaw {_range(shown, 'yaw')}, "
-        f"pitch {_range(shown, 'pitch')}, distance {shown['distance']:.2f}"
+        f"default reading {_range(ours, angle)}; {readings_that}; the nearest ({_name(nearest)}) has yaw {_range(nearest, 'yaw')}, "
+        f"pitch {_range(nearest, 'pitch')}, distance {nearest['distance']:.2f}"
     )
     numbers = [math.nan] * 3 if ours is None else [ours[angle], ours[f"{angle}_lowest"], ours[f"{angle}_highest"]]
-    reading = "default" if verdict == REPRODUCED else _name(shown) if named else ""
+    reading = "default" if verdict == REPRODUCED else _name(nearest) if named else ""
     return _row(verdict, f"NRMSE of {angle}, 6 s windows, default reading (%)", numbers, reading, evidence, "readings_nearest", "make all")
 
 
 def _meets(rows, angle):
-    """Where the paper's number of this angle, under the row's naming, lies within the range over seeds, a little wider."""
+    """Where the paper's number of this angle, by the row's naming, lies within the range over seeds, a little wider."""
     from tras import effects
 
     paper = np.array([dict(zip(("yaw", "pitch"), effects.target(names)))[angle] for names in rows["angle_names"]])
@@ -90,34 +86,34 @@ def _meets(rows, angle):
 
 def across(metrics, name):
     """C3, C4: a metric of the paper's own model over all validation recordings and both angles."""
-    own = _rows(metrics[metrics["kind"] == "window"], **PAPERS_OWN)
+    windows = _rows(metrics[metrics["kind"] == "window"], **PAPERS_OWN)
     worst, best, limit = ("max", "min", LOW_ENR) if name == "enr" else ("min", "max", HIGH_BFR)
-    good = own[name] <= limit if name == "enr" else own[name] >= limit
-    alike = own["recording"].str.startswith("multisine")
+    good = windows[name] <= limit if name == "enr" else windows[name] >= limit
+    alike = windows["recording"].str.startswith("multisine")
     verdict = REPRODUCED if good.all() else NAMED if good[alike].all() else NOT
-    kinds = own["recording"].str.split().str[0]
+    kinds = windows["recording"].str.split().str[0]
     by_kind = "; ".join(
-        f"{kind}: " + ", ".join(f"{angle} {part[name].agg(worst):.3g}" for angle, part in own[kinds == kind].groupby("angle", sort=False))
+        f"{kind}: " + ", ".join(f"{angle} {part[name].agg(worst):.3g}" for angle, part in windows[kinds == kind].groupby("angle", sort=False))
         for kind in kinds.unique()
     )
     limits = f"at most {limit:g}" if name == "enr" else f"at least {limit:g} %"
     evidence = f"worst of each kind of validation signal ({limits} is asked for): {by_kind}"
-    numbers = [own[name].agg(worst), own[name].min(), own[name].max()]
+    numbers = [windows[name].agg(worst), windows[name].min(), windows[name].max()]
     reading = {REPRODUCED: "default", NAMED: "validation signals like the training's (multisines)", NOT: ""}[verdict]
     label = {"enr": "largest Enr of both angles", "bfr": "smallest BFR of both angles (%)"}[name]
     return _row(verdict, label, numbers, reading, evidence, "horizon", "make paper")
 
 
 def against_linear(grid, comparison):
-    """C5: error over that of the linear model, the same seeds, reading by reading; and beside linear methods that were tuned like it."""
+    """C5: error over the linear model's, for the same seeds, per reading; and beside linear methods tuned alike."""
     from tras import effects, readings
 
     ratios = _ratios_to_linear(effects.pairs_of_angles(grid))
     default = readings.Readings()
-    own = _rows(ratios, **{name: getattr(default, name) for name in effects.OPTIONS}).iloc[0]
+    ours = _rows(ratios, **{name: getattr(default, name) for name in effects.OPTIONS}).iloc[0]
     better = ratios[ratios["better"]].sort_values("median", kind="stable")
-    verdict = REPRODUCED if own["better"] else NAMED if len(better) else NOT
-    evidence = f"error over the linear model's, the worse angle, default reading: {own['median']:.3f} ({own['low']:.3f} to {own['high']:.3f}); "
+    verdict = REPRODUCED if ours["better"] else NAMED if len(better) else NOT
+    evidence = f"error over the linear model's, the worse angle, default reading: {ours['median']:.3f} ({ours['low']:.3f} to {ours['high']:.3f}); "
     evidence += f"{len(better)} of {len(ratios)} readings are superior in both angles for every seed"
     if len(better):
         first = better.iloc[0]
@@ -128,12 +124,12 @@ def against_linear(grid, comparison):
     half = len(parts) // 2
     evidence += f"; beside linear methods tuned by the same rule, yaw / pitch over 6 s in %, reference: {', '.join(parts[:half])}; torque: {', '.join(parts[half:])}"
     reading = "default" if verdict == REPRODUCED else _name(better.iloc[0]) if len(better) else ""
-    numbers = [own["median"], own["low"], own["high"]]
+    numbers = [ours["median"], ours["low"], ours["high"]]
     return _row(verdict, "NRMSE over the linear model's, the worse angle", numbers, reading, evidence, "readings_effects", "make all")
 
 
 def _ratios_to_linear(pairs):
-    """For each reading with another dictionary than the linear one: median, low, high of the ratio over seeds, of the angle that is worse."""
+    """Median, low, high over seeds of the worse angle's ratio, per reading with another dictionary than linear."""
     from tras import effects
 
     seeds = ["train_seed", "validation_seed"]
@@ -154,11 +150,11 @@ def other_methods(comparison):
     errors, parts = _windows(comparison), []
     for source in ("reference", "torque"):
         part = errors.xs(source, level="input").drop(index=BOUND, errors="ignore")
-        kept = part[part["lost"] == 0]
-        order = np.sqrt(kept["yaw"] * kept["pitch"]).sort_values(kind="stable").index
-        place = f"{list(order).index(OWN) + 1} of {len(part)}" if OWN in order else f"without a place among {len(part)}"
+        complete = part[part["lost"] == 0]
+        order = np.sqrt(complete["yaw"] * complete["pitch"]).sort_values(kind="stable").index
+        rank = f"{list(order).index(OWN) + 1} of {len(part)}" if OWN in order else f"without a place among {len(part)}"
         rest = "" if OWN not in part.index else f" ({_yaw_pitch(errors, OWN, source)})"
-        parts.append(f"{source}: the best is {order[0]} ({_yaw_pitch(errors, order[0], source)}), the paper's dictionary is {place}{rest}")
+        parts.append(f"{source}: the best is {order[0]} ({_yaw_pitch(errors, order[0], source)}), the paper's dictionary is {rank}{rest}")
     evidence = (
         "the paper announces the comparison and shows none: no method is named and no number given. Ours, each method tuned by the same rule, yaw / pitch over 6 s in %, "
         f"ranked by the geometric mean, those with lost windows last; {'; '.join(parts)}"
@@ -184,23 +180,23 @@ def _yaw_pitch(errors, method, source):
 
 def starts(metrics):
     """C7: roll-outs from the true state of any instant, no settling, no tuning of the start."""
-    own = _rows(metrics[(metrics["kind"] == "window") & (metrics["angle"] == "yaw")], **PAPERS_OWN)
-    windows, lost = int(own["windows"].sum()), int(own["diverged"].sum())
+    rows = _rows(metrics[(metrics["kind"] == "window") & (metrics["angle"] == "yaw")], **PAPERS_OWN)
+    windows, diverged = int(rows["windows"].sum()), int(rows["diverged"].sum())
     free = _rows(metrics[(metrics["kind"] == "free run") & (metrics["angle"] == "yaw")], **PAPERS_OWN)
-    verdict = REPRODUCED if windows and not lost else NOT
+    verdict = REPRODUCED if windows and not diverged else NOT
     evidence = (
-        f"{windows} windows of {own['horizon'].iloc[0]:g} s on {own['recording'].nunique()} recordings, each started from the state measured at that instant: {lost} "
+        f"{windows} windows of {rows['horizon'].iloc[0]:g} s on {rows['recording'].nunique()} recordings, each started from the state measured at that instant: {diverged} "
         f"diverged; of {int(free['windows'].sum())} free runs {int(free['diverged'].sum())}. All four states must be measured"
     )
-    share = lost / windows if windows else math.nan
+    share = diverged / windows if windows else math.nan
     return _row(verdict, "share of windows that diverged", [share] * 3, "default" if verdict == REPRODUCED else "", evidence, "fig3_overlay", "make paper")
 
 
 def few_data(length):
     """C8: share of stretches without a model, short and long, by plain least squares.
 
-    Where the functions are dependent on the data, the pseudoinverse of (14) has a smaller rank than N and so has K: its eigenvalue zero is one of
-    those of which the paper speaks.
+    Where the functions are dependent on the data, the pseudoinverse of (14) has a smaller rank than N and so has K: its
+    eigenvalue zero is one of those of which the paper speaks.
     """
     plain = length[length["fit"] == "plain"]
     most = plain["ratio"].max()
@@ -259,9 +255,9 @@ def control(models):
         gain = linalg.solve(weight[1], b.T @ linalg.solve_continuous_are(a, b, *weight))
         rates.append(float(np.linalg.eigvals(A - B @ gain).real.max()))
         parts.append(f"{name}: slowest mode {rates[-1]:.2f} 1/s on the true plant, {np.linalg.eigvals(a - b @ gain).real.max():.2f} by design")
-    own = float(np.linalg.eigvals(A).real.max())
-    verdict = REPRODUCED if rates[0] < min(0.0, 2 * own) else NOT
-    evidence = f"state feedback (LQR) designed on the identified vector field, linearised at rest, applied to the true plant ({own:.2f} 1/s without it): " + "; ".join(parts)
+    open_loop = float(np.linalg.eigvals(A).real.max())
+    verdict = REPRODUCED if rates[0] < min(0.0, 2 * open_loop) else NOT
+    evidence = f"state feedback (LQR) designed on the identified vector field, linearised at rest, applied to the true plant ({open_loop:.2f} 1/s without it): " + "; ".join(parts)
     quantity = "slowest mode of the true plant under feedback from the paper's dictionary (1/s)"
     return _row(verdict, quantity, [rates[0], min(rates), max(rates)], "torque, linearised at rest", evidence, "", "make all")
 
@@ -275,47 +271,24 @@ def _linearised(model, x, u, step=1e-4):
     return slopes[:, :n], slopes[:, n:]
 
 
-# --------------------------------------------------------------------------------------------------------------------- the table
+# --- the table --------------------------------------------------------------------------------------------------------
 
 
 def markdown(rows):
-    """The claims as Markdown: rows as dictionaries or from `read`."""
-    lines = [("", "the paper says", "verdict", "evidence"), ("---",) * 4]
+    """The claims as Markdown, from the rows of ``claims.csv`` as dictionaries."""
+    lines = [("", "the paper says", "verdict", "evidence")]
     for row in rows:
         verdict = row["verdict"] + (f": {row['reading']}" if row["verdict"] == NAMED else "")
         lines.append((row["claim"], row["statement"], f"**{verdict}**", row["evidence"] + "."))
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return files.markdown_table(lines)
 
 
-def read(path):
-    """Rows of ``claims.csv`` as dictionaries of text."""
-    with open(path, newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+def text(rows):
+    """The verdicts for a terminal, one line per claim."""
+    return "\n".join(f"{row['claim']:>3}  {row['verdict']}  {row['statement']}" for row in rows)
 
 
-def main(arguments=None):
-    """Command line; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m tras.claims", description="Print the paper's claims with verdicts, or write them into the README.")
-    parser.add_argument("claims", type=Path, help="data/claims.csv, made by the notebook 08_claims")
-    parser.add_argument("--readme", type=Path, help="write the table into this file, between its markers")
-    options = parser.parse_args(arguments)
-    for path in filter(None, (options.claims, options.readme)):
-        if not path.is_file():
-            print(f"{path} does not exist; `make all` makes the claims.", file=sys.stderr)
-            return 2
-    rows = read(options.claims)
-    if not options.readme:
-        print("\n".join(f"{row['claim']:>3}  {row['verdict']}  {row['statement']}" for row in rows))
-        return 0
-    try:
-        files.write_between(options.readme, BEGIN, END, markdown(rows))
-    except (OSError, ValueError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
-
-
-# ------------------------------------------------------------------------------------------------------------------------- parts
+# --- parts ------------------------------------------------------------------------------------------------------------
 
 
 def _row(verdict, quantity, numbers, reading, evidence, figure, command):
@@ -346,7 +319,3 @@ def _range(row, angle):
     if row is None:
         return "without a number"
     return f"{row[angle]:.3g} % ({row[f'{angle}_lowest']:.3g} to {row[f'{angle}_highest']:.3g})"
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,7 @@
-"""Text tables (.csv): separators, decimal commas, units and times as loggers and spreadsheets write them."""
+"""Text tables (.csv): separators, decimal commas, units and times as loggers and spreadsheets write them.
+
+pandas writes them. It does not read them, because it does not say on which line of the file a wrong cell stands.
+"""
 
 import csv
 import datetime
@@ -10,9 +13,9 @@ import re
 import numpy as np
 
 from tras.roles import RecordingError
-from tras.source import MAX_TEXT, Source, check_size
+from tras.source import FORMAT, MAX_TEXT, Source, check_size
 
-_MARK = "# tras recording 2: "  # our own files: one line of JSON above the header
+_MARK = f"# {FORMAT}: "  # our own files: one line of JSON above the header
 _MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"}
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _IN_BRACKETS = re.compile(r"(.*?\S)\s*[\[(]([^\[\]()]*)[\])]\s*")
@@ -53,10 +56,7 @@ def write_table(frame, header, path):
     """A pandas table as CSV that reads back to the last bit, ``header`` (a dict) in a comment above it."""
     with open(path, "w", encoding="utf-8", newline="") as file:
         file.write(f"{_MARK}{json.dumps(header)}\n")
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(frame.columns)
-        for row in zip(*(frame[name].tolist() for name in frame.columns)):
-            writer.writerow(map(repr, row))  # repr has as many digits as it takes
+        frame.to_csv(file, index=False, lineterminator="\n")  # as many digits as it takes
 
 
 def _decode(content):

@@ -13,6 +13,9 @@ import itertools
 import numpy as np
 from sklearn.base import BaseEstimator, clone
 
+from tras import arguments
+
+POSITIVE = "a positive number, in units of the scaled channels"  # what `tras.arguments.number` says to give
 STRIP = 2**13  # points that are lifted at a time: what some dictionaries make on the way is no larger than that
 _FEW = 256  # points for which calls cost more than copies
 
@@ -153,7 +156,7 @@ class Monomials(Dictionary):
         return "linear" if self.degree == 1 else f"monomials, degree {self.degree}"
 
     def _build(self):
-        check_count("degree", self.degree)
+        arguments.whole_number("degree", self.degree)
         channels = self.n_states_ + self.n_inputs_
         words = [w for k in range(self.degree + 1) for w in itertools.combinations_with_replacement(range(channels), k)]
         index = {word: j for j, word in enumerate(words)}
@@ -202,8 +205,8 @@ class Exponentials(Dictionary):
         self.rate = rate
 
     def _build(self):
-        check_count("order", self.order)
-        check_positive("rate", self.rate)
+        arguments.whole_number("order", self.order)
+        arguments.number("rate", self.rate, 0, ends=False, give=POSITIVE)
         self._k = np.array([k for k in _lattice(self.n_states_ + self.n_inputs_, self.order) if any(k)])
         self._wave = self.rate * self._k
         return len(self._wave)
@@ -234,8 +237,8 @@ class Fourier(Dictionary):
         self.period = period
 
     def _build(self):
-        check_count("order", self.order)
-        check_positive("period", self.period)
+        arguments.whole_number("order", self.order)
+        arguments.number("period", self.period, 0, ends=False, give=POSITIVE)
         lattice = _lattice(self.n_states_ + self.n_inputs_, self.order)
         self._k = np.array([k for k in lattice if any(k) and next(c for c in k if c) > 0])
         self._wave = 2 * np.pi / self.period * self._k
@@ -383,18 +386,6 @@ def spelled(value):
 
 def _digest(data):
     return hashlib.sha256(data).hexdigest()[:12]
-
-
-def check_count(name, value):
-    """Refuse what is not a whole number of at least one."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise ValueError(f"{name} is {value!r}; give a whole number, 1 or more.")
-
-
-def check_positive(name, value):
-    """Refuse what is not a positive finite number."""
-    if not (isinstance(value, (int, float, np.number)) and np.isfinite(value) and value > 0):
-        raise ValueError(f"{name} is {value!r}; give a positive number, in units of the scaled channels.")
 
 
 def _samples(x, u):

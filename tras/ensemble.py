@@ -6,7 +6,7 @@ B. Efron, Ann. Statist. 7, 1979, 1. Whole trajectories are drawn, because neighb
 import numpy as np
 from sklearn.base import clone
 
-from tras import metrics
+from tras import arguments, metrics
 from tras.recording import join
 from tras.study import each
 
@@ -55,10 +55,8 @@ def bootstrap(model, recording, draws=100, rng=0, *, processes=1):
         raise ValueError(
             f"recording has {len(recording)} trajectories, and a bootstrap draws among ten or more; cut it into pieces with recording.cut(samples)."
         )
-    if isinstance(draws, bool) or not isinstance(draws, (int, np.integer)) or draws < 2:
-        raise ValueError(f"draws is {draws!r}; give a whole number, 2 or more.")
-    if isinstance(rng, bool) or not isinstance(rng, (np.random.Generator, int, np.integer)):
-        raise ValueError(f"rng is {rng!r}; give a numpy.random.Generator or a seed, so that the ensemble can be had again.")
+    arguments.whole_number("draws", draws, 2)
+    arguments.seed("rng", rng, "the ensemble")
     indices = np.random.default_rng(rng).integers(len(recording), size=(draws, len(recording)))
     unfitted = clone(model).set_params(strength=float(model.strength_))
     return each(_member, enumerate(indices), (unfitted, recording), title="bootstrap", processes=processes)
@@ -91,8 +89,7 @@ def prediction_band(ensemble, recording, level=0.9):
     """
     if not ensemble:
         raise ValueError("ensemble is empty; make one with tras.bootstrap(model, recording).")
-    if isinstance(level, bool) or not (isinstance(level, (int, float)) and 0 < level < 1):
-        raise ValueError(f"level is {level!r}; give a fraction between 0 and 1, for example 0.9.")
+    arguments.number("level", level, 0, 1, ends=False, give="a fraction between 0 and 1, for example 0.9")
     recording = join(recording)
     with np.errstate(over="ignore", invalid="ignore"):  # divergence is put at infinity below
         runs = [model.predict(recording) for model in ensemble]

@@ -1,20 +1,12 @@
-"""The paper's errors and our repairs, each with a computation that shows the error: `table` computes all of them, nothing is typed.
+"""The paper's errors and our repairs, each with a computation that shows the error; `table` computes them all."""
 
-``python -m tras.errata docs/paper.md`` writes the table into that page, between its markers.
-"""
-
-import argparse
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from tras import files
 from tras.plant import PlantParameters, PrintedPlant, rest_point, simulate_plant, vector_field
-
-BEGIN, END = "<!-- errors: written by `make readme` -->", "<!-- end of errors -->"
 
 
 def _below(value):
@@ -118,7 +110,7 @@ def logarithm():
 
 
 def one_vector():
-    """(18) has N equations at each point for n unknowns at each point, F there: one F for all points would be a constant field."""
+    """(18) has N equations per point for n unknowns, F there: one F for all points would be a constant field."""
     n, N, points = 4, 9, 50_000
     text = (
         f"read as one vector, (18) gives {n} numbers, the same velocity everywhere; a field F = W ψ of {N} functions has {n} x {N} = {n * N} coefficients, and "
@@ -187,8 +179,8 @@ def table():
     Returns
     -------
     pandas.DataFrame
-        Columns ``printed, here, why, evidence`` (a sentence with its numbers) and ``shown`` (whether the computation shows the error; None
-        where there is nothing to compute).
+        Columns ``printed, here, why, evidence`` (a sentence with its numbers) and ``shown`` (whether the computation
+        shows the error; None where there is nothing to compute).
     """
     import pandas as pd
 
@@ -199,24 +191,8 @@ def table():
     return pd.DataFrame(rows, columns=["printed", "here", "why", "evidence", "shown"])
 
 
-def markdown(errors):
-    """The table as Markdown."""
-    rows = [("as printed", "here", "why", "shown by computing"), ("---",) * 4, *errors[["printed", "here", "why", "evidence"]].itertuples(index=False)]
-    return "\n".join("| " + " | ".join(row) + " |" for row in rows)
-
-
-def main(arguments=None):
-    """Command line; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m tras.errata", description="Compute what shows the paper's errors and write it into a page.")
-    parser.add_argument("page", type=Path, help="a Markdown file with the two markers, such as docs/paper.md")
-    page = parser.parse_args(arguments).page
-    try:
-        files.write_between(page, BEGIN, END, markdown(table()))
-    except (OSError, ValueError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def markdown(errors=None):
+    """The table as Markdown, computed now if it is not at hand."""
+    errors = table() if errors is None else errors
+    rows = errors[["printed", "here", "why", "evidence"]].itertuples(index=False)
+    return files.markdown_table([("as printed", "here", "why", "shown by computing"), *rows])

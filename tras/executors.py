@@ -23,7 +23,7 @@ from concurrent import futures
 from multiprocessing import connection
 from typing import NamedTuple
 
-from tras.recording import versions
+from tras.provenance import versions
 
 _ATTEMPTS = 3  # a job whose worker dies more often than that is given up
 _PATIENCE = 5.0  # seconds to wait for a scheduler, and for its first worker

@@ -1,4 +1,4 @@
-"""Files that are either whole or not there, and where the project is."""
+"""Files that are either whole or not there, text in Markdown, and where the project is."""
 
 import contextlib
 import os
@@ -32,35 +32,34 @@ def replacing(path):
     temporary = Path(name)
     try:
         yield temporary
-        temporary.chmod(0o666 & ~_umask())  # mkstemp is private; a result is not
+        temporary.chmod(0o666 & ~umask())  # mkstemp is private; a result is not
         os.replace(temporary, path)
     except OSError as error:
-        raise OSError(error.errno, f"{path} could not be written ({error.strerror or error}); nothing was left under that name") from error
+        reason = error.strerror or error
+        raise OSError(error.errno, f"{path} could not be written ({reason}); nothing was left under that name") from error
     finally:
         temporary.unlink(missing_ok=True)
 
 
-def between(text, begin, end, new, name="the page"):
-    """``text`` with what stands between the lines ``begin`` and ``end`` replaced by ``new``.
+def markdown_table(rows):
+    """Rows of text, the heading first, as a table in Markdown.
 
-    Raises
-    ------
-    ValueError
-        If a marker is missing or stands twice.
+    >>> print(markdown_table([("a", "b"), ("1", "2")]))
+    | a | b |
+    | --- | --- |
+    | 1 | 2 |
     """
-    if text.count(begin) != 1 or text.count(end) != 1:
-        raise ValueError(f"{name} must hold the lines {begin!r} and {end!r} once each, around the place for the table; put them back.")
-    before, rest = text.split(begin)
-    return f"{before}{begin}\n{new}\n{end}{rest.split(end)[1]}"
+    head, *body = rows
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, ["---"] * len(head), *body))
 
 
-def write_between(path, begin, end, new):
-    """Write ``new`` into the file ``path``, between its two markers; see `between`.
+def write_between(path, begin, end, content):
+    """Write ``content`` into the file ``path``, in place of what stands between the lines ``begin`` and ``end``.
 
     Raises
     ------
     ValueError
-        Also if the file cannot be read.
+        If the file cannot be read, or a marker is missing or stands twice.
     OSError
         If it cannot be written; it is then as it was.
     """
@@ -69,9 +68,11 @@ def write_between(path, begin, end, new):
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise ValueError(f"{path} cannot be read ({error.strerror}): check the path.") from error
-    changed = between(text, begin, end, new, path)
+    if text.count(begin) != 1 or text.count(end) != 1:
+        raise ValueError(f"{path} must hold the lines {begin!r} and {end!r} once each, around the table; put them back.")
+    before, rest = text.split(begin)
     with replacing(path) as temporary:
-        temporary.write_text(changed, encoding="utf-8")
+        temporary.write_text(f"{before}{begin}\n{content}\n{end}{rest.split(end)[1]}", encoding="utf-8")
 
 
 def project_root(start=None):
@@ -101,7 +102,8 @@ def project_root(start=None):
     )
 
 
-def _umask():
+def umask():
+    """The permissions that new files of this process do not get."""
     mask = os.umask(0)
     os.umask(mask)
     return mask

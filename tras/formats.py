@@ -16,10 +16,9 @@ import numpy as np
 from tras import delimited, matlab, netcdf, sampling
 from tras.files import replacing
 from tras.roles import RecordingError, assign
+from tras.source import FORMAT, SUFFIXES
 
-_FORMAT = "tras recording 2"
 _LABELS = ("state_names", "state_units", "input_names", "input_units")
-SUFFIXES = (".nc", ".csv", ".parquet", ".mat")
 
 
 def write(recording, path, attributes):
@@ -131,15 +130,15 @@ def _mapping(roles):
 
 def _header(dt, labels, attributes):
     return {
-        "format": _FORMAT, "dt": dt, "states": list(labels["state_names"]), "state_units": list(labels["state_units"]),
+        "format": FORMAT, "dt": dt, "states": list(labels["state_names"]), "state_units": list(labels["state_units"]),
         "inputs": list(labels["input_names"]), "input_units": list(labels["input_units"]), "attributes": attributes,
     }  # fmt: skip
 
 
 def _checked(header):
     """The header of `_header`, or an error: others may have had their hands on it."""
-    if header.get("format") != _FORMAT:
-        raise RecordingError(f"its format is {str(header.get('format'))[:40]!r}, this release reads {_FORMAT!r}.")
+    if header.get("format") != FORMAT:
+        raise RecordingError(f"its format is {str(header.get('format'))[:40]!r}, this release reads {FORMAT!r}.")
     texts = ("states", "state_units", "inputs", "input_units")
     sound = all(isinstance(header.get(key), list) and all(isinstance(text, str) for text in header[key]) for key in texts)
     sound = sound and isinstance(header.get("dt"), float) and 0 < header["dt"] < math.inf and isinstance(header.get("attributes"), dict)

@@ -18,10 +18,10 @@ from pathlib import Path
 from tras.files import project_root
 from tras.parameters import ParameterError, check_parameters, notebook_defaults
 from tras.runner import Interrupted, RunError, interruptible, run_notebook
+from tras.source import SUFFIXES
 
 # Errors that are a sentence about the recording or the call, not a fault of the program.
 _SENTENCES = ("RecordingError", "ValueError", "LogarithmError", "FileNotFoundError")
-_SUFFIXES = (".nc", ".csv", ".parquet", ".mat")
 
 
 def main(arguments=None):
@@ -107,7 +107,7 @@ def _parameters(options, out, root):
     for path, what in ((options.recording, "RECORDING"), (options.roles, "ROLES")):
         if path is not None and not path.is_file():
             raise ParameterError(f"{what}: {path} {'is a folder' if path.is_dir() else 'does not exist'}; give the path of a file.")
-    if options.recording.suffix not in _SUFFIXES:
+    if options.recording.suffix not in SUFFIXES:
         raise ParameterError(f"RECORDING: {options.recording} ends in {options.recording.suffix!r}; recordings are .csv, .parquet, .mat or .nc files.")
     if out.exists() and not out.is_dir():
         raise ParameterError(f"OUT: {out} is a file; give a folder.")

@@ -14,6 +14,7 @@ from tras.export import identifier, to_statespace
 from tras.export_c import to_c
 from tras.export_mat import to_matlab
 from tras.figures import save_figure
+from tras.files import umask
 from tras.formulas import formulas
 from tras.identify_page import write_page
 from tras.recording import Recording
@@ -187,7 +188,7 @@ def _move(stage, folder):
     """Move all files of ``stage`` into ``folder``, and remove those that only an earlier run has listed there."""
     new = {path.relative_to(stage) for path in stage.rglob("*") if path.is_file()}
     if not folder.exists():
-        stage.chmod(0o777 & ~_umask())  # mkdtemp is private; a result is not
+        stage.chmod(0o777 & ~umask())  # mkdtemp is private; a result is not
         os.replace(stage, folder)
         return
     old = _listed(folder)
@@ -207,9 +208,3 @@ def _listed(folder):
         return set()
     paths = {PurePosixPath(name) for name in names}
     return {Path(path) for path in paths if not path.is_absolute() and ".." not in path.parts and str(path) != LISTING}
-
-
-def _umask():
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -34,7 +34,7 @@ def write_page(identification, log, name, figures, exports, failures, formulas="
         The model as text; shown if it is short.
     """
     contents, parts, step_remarks = [], [], identification.remarks
-    convert = page.converter(lambda text: text, lambda kind, spec: "", contents)
+    convert = page.converter(lambda kind, spec: "", contents)
 
     def put(heading, *html):
         parts.append(convert(heading))

@@ -1,8 +1,9 @@
-"""Numbers for a text, looked up in the tables: ``{{ FILE: WHAT where COLUMN=VALUE, COLUMN=VALUE | FORMAT }}``.
+"""Numbers for a text, looked up in the tables: Jinja expressions between ``{{`` and ``}}``, with blanks inside.
 
-``FILE`` is ``data/NAME.csv`` or ``figures/NAME.csv``; ``WHAT`` a column, of which just one row must be chosen, or min, max, median, mean, sum, count
-or largest (in size) of one, like ``median(nrmse)``; ``FORMAT`` is Python's.
-``STAGE: NAME`` is a parameter that this stage ran with, ``claims: NAME`` a limit of `tras.claims`.
+``value(FILE, WHAT, COLUMN=VALUE, ...)`` looks into ``data/NAME.csv`` or ``figures/NAME.csv``. ``WHAT`` is a column, of
+which the choices must leave one row, or the min, max, median, mean, sum, count or largest (in size) of one, like
+``median(nrmse)``. ``parameter(STAGE, NAME)`` is a parameter that this stage ran with, ``claims.NAME`` a limit of
+`tras.claims`; ``| number(FORMAT)`` formats any of them as Python does.
 """
 
 import functools
@@ -12,9 +13,12 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
+import jinja2
+from jinja2.sandbox import SandboxedEnvironment
+
 from tras import claims
 
-_LOOKUP = re.compile(r"(?P<file>[^:]+): (?P<what>.+?)(?: where (?P<where>.+?))?(?: \| (?P<format>\S+))?")
+_LIMITS = {name: limit for name, limit in vars(claims).items() if name.isupper()}
 
 
 class Lacking(ValueError):
@@ -42,13 +46,13 @@ class Sources(NamedTuple):
         return path
 
 
-def look_up(text, sources):
-    """The number that ``text`` asks for, as text.
+def render(text, sources):
+    """``text`` with every lookup replaced by its number, which no Markdown in a table can break out of.
 
     Parameters
     ----------
     text : str
-        For example ``data/metrics.csv: max(nrmse) where angle=yaw, kind=window | .3g``.
+        For example ``{{ value("data/metrics.csv", "max(nrmse)", angle="yaw", kind="window") | number(".3g") }} %``.
     sources : Sources
 
     Raises
@@ -56,21 +60,23 @@ def look_up(text, sources):
     Lacking
         If the file, the column, the row or the parameter is not there.
     ValueError
-        If the text is not understood, or the file is damaged.
+        If a lookup is not understood, or the file is damaged.
     """
-    match = _LOOKUP.fullmatch(text)
-    if not match:
-        raise ValueError(f"{{{{ {text} }}}} is not understood: write FILE: WHAT where COLUMN=VALUE | FORMAT.")
-    name, what, spec = match["file"], match["what"], match["format"] or "g"
-    if name == "claims":
-        return number(getattr(claims, what), spec)
-    if "/" not in name:
-        recorded = record(sources.path(f"build/{name}.json")).get("parameters", {})
-        if what not in recorded:
-            raise Lacking(f"{name} has no parameter `{what}`.")
-        return number(recorded[what], spec)
-    where = dict(pair.split("=", 1) for pair in (match["where"] or "").split(", ") if pair)
-    return number(_total(_chosen(frame(name, sources), where, name), what, name), spec)
+
+    def value(name, what, **where):
+        return _total(_selected(frame(name, sources), where, name), what, name)
+
+    def parameter(stage, name):
+        parameters = record(sources.path(f"build/{stage}.json")).get("parameters", {})
+        if name not in parameters:
+            raise Lacking(f"{stage} has no parameter `{name}`.")
+        return parameters[name]
+
+    try:
+        return _ENVIRONMENT.from_string(text).render(value=value, parameter=parameter, claims=_LIMITS)
+    except (jinja2.TemplateError, TypeError) as error:
+        usage = "{{ value(FILE, WHAT, COLUMN=VALUE) | number(FORMAT) }}"
+        raise ValueError(f"a lookup is not understood ({error}): write {usage}.") from None
 
 
 def number(value, spec="g"):
@@ -86,6 +92,17 @@ def number(value, spec="g"):
     if value is None or math.isnan(value):
         return "–"
     return format(int(value), "d") if spec == "d" else format(value, spec).rstrip(".")
+
+
+# LaTeX writes `{{` too, but no blank behind it; a text holds neither statements nor comments.
+_ENVIRONMENT = SandboxedEnvironment(
+    variable_start_string="{{ ",
+    variable_end_string=" }}",
+    undefined=jinja2.StrictUndefined,
+    finalize=lambda value: re.sub(r"([\\`*_{}\[\]<>#$|~])", r"\\\1", number(value)),
+    keep_trailing_newline=True,
+)
+_ENVIRONMENT.filters["number"] = number
 
 
 def record(path):
@@ -108,9 +125,10 @@ def table(spec, sources):
     Parameters
     ----------
     spec : dict
-        ``file``; ``where`` (column: value) chooses rows. Then either ``columns`` (column: heading), the first ``keys`` of which name the row, and
-        ``first`` many rows; or ``rows`` (column: heading) for the groups, and ``across`` (a column) with ``value`` or ``values`` (heading: value)
-        for the numbers, a value being like ``median(nrmse)``. ``format`` is one for all or, with ``columns``, column: format.
+        ``file``; ``where`` (column: value) chooses rows. Then either ``columns`` (column: heading), the first ``keys``
+        of which name the row, and ``first`` many rows; or ``rows`` (column: heading) for the groups, and ``across`` (a
+        column) with ``value`` or ``values`` (heading: value) for the numbers, a value being like ``median(nrmse)``.
+        ``format`` is one for all or, with ``columns``, column: format.
     sources : Sources
 
     Returns
@@ -121,28 +139,28 @@ def table(spec, sources):
         How many columns name the row.
     """
     name, formats = spec["file"], spec.get("format", "g")
-    chosen = _chosen(frame(name, sources), spec.get("where", {}), name)
+    rows = _selected(frame(name, sources), spec.get("where", {}), name)
     if "rows" in spec:
-        across, groups = _summary(chosen, spec, name)
+        across, groups = _summary(rows, spec, name)
         head = [*spec["rows"].values(), *(spec.get("heading", "{}").format(number(value)) for value in across)]
         return head, [[*map(number, key), *(number(value, formats) for value in values)] for key, values in groups], len(spec["rows"])
-    chosen = chosen.head(spec.get("first", len(chosen)))
+    rows = rows.head(spec.get("first", len(rows)))
     formats = [formats.get(column, "g") if isinstance(formats, dict) else formats for column in spec["columns"]]
-    rows = zip(*(_column(chosen, column, name) for column in spec["columns"]))
-    return list(spec["columns"].values()), [[*map(number, row, formats)] for row in rows], spec.get("keys", 1)
+    cells = zip(*(_column(rows, column, name) for column in spec["columns"]))
+    return list(spec["columns"].values()), [[*map(number, row, formats)] for row in cells], spec.get("keys", 1)
 
 
-# ------------------------------------------------------------------------------------------------------------------------- parts
+# --- parts ------------------------------------------------------------------------------------------------------------
 
 
-def _summary(chosen, spec, name):
+def _summary(rows, spec, name):
     """What stands across, and for each group of rows its key and the numbers below that."""
     for column in (*spec["rows"], *([spec["across"]] if "across" in spec else [])):
-        _column(chosen, column, name)
-    groups = list(chosen.groupby(list(spec["rows"]), sort=False))
+        _column(rows, column, name)
+    groups = list(rows.groupby(list(spec["rows"]), sort=False))
     if "across" not in spec:
         return list(spec["values"]), [(key, [_total(part, what, name) for what in spec["values"].values()]) for key, part in groups]
-    across = list(dict.fromkeys(chosen[spec["across"]]))
+    across = list(dict.fromkeys(rows[spec["across"]]))
     cells = [(key, [part[part[spec["across"]] == value] for value in across]) for key, part in groups]
     return across, [(key, [_total(cell, spec["value"], name) if len(cell) else None for cell in row]) for key, row in cells]
 
@@ -157,14 +175,14 @@ def _read(path, _changed):
         raise ValueError(f"{path} is no table ({error}): delete it, and make all makes it anew.") from None
 
 
-def _chosen(rows, where, name):
+def _selected(rows, where, name):
     """The rows that hold these values; numbers compare as numbers, and ``>0.5`` as a value means larger ones."""
     for column, value in where.items():
-        own = _column(rows, column, name)
+        cells = _column(rows, column, name)
         if str(value).startswith(">"):
-            rows = rows[own > float(value[1:])]
-            continue
-        rows = rows[own == float(value) if own.dtype.kind in "if" else own.astype(str) == str(value)]
+            rows = rows[cells > float(value[1:])]
+        else:
+            rows = rows[cells == float(value) if cells.dtype.kind in "if" else cells.astype(str) == str(value)]
     return rows
 
 

@@ -4,7 +4,8 @@ import itertools
 
 import numpy as np
 
-from tras.dictionary import Dictionary, check_count
+from tras import arguments
+from tras.dictionary import Dictionary
 
 
 class Mechanical(Dictionary):
@@ -50,7 +51,7 @@ class Mechanical(Dictionary):
         return f"mechanical, degree {self.degree} in {shape}"
 
     def _build(self):
-        check_count("degree", self.degree)
+        arguments.whole_number("degree", self.degree)
         positions, velocities, shape = self._roles()
         n, m = self.n_states_, self.n_inputs_
         others = [p for p in positions if p not in shape]

@@ -7,9 +7,7 @@ import numpy as np
 
 from tras import heaps
 from tras.roles import RecordingError
-from tras.source import MAX_VALUES
-
-FORMAT = "tras recording 2"
+from tras.source import FORMAT, MAX_VALUES
 
 
 def to_xarray(recording, attributes):

@@ -8,6 +8,7 @@ of single steps.
 
 import numpy as np
 
+from tras import arguments
 from tras.recording import join
 
 
@@ -38,8 +39,7 @@ def add_noise(recording, level, rng):
     fraction = np.asarray(level, dtype=float)
     if fraction.shape not in ((), (recording.n,)) or not (np.isfinite(fraction).all() and (fraction >= 0).all()):
         raise ValueError(f"level is {level!r}; give a fraction of the range, 0 or more (0.01 is 1 %), or {recording.n} of them.")
-    if isinstance(rng, bool) or not isinstance(rng, (np.random.Generator, int, np.integer)):
-        raise ValueError(f"rng is {rng!r}; give a numpy.random.Generator or a seed, so that the noise can be had again.")
+    arguments.seed("rng", rng, "the noise")
     rng = np.random.default_rng(rng)
     sigma = fraction * np.ptp(np.concatenate([x for x, _ in recording]), axis=0)
     return recording.with_data([x + sigma * rng.standard_normal(x.shape) for x, _ in recording], [u for _, u in recording])

@@ -1,4 +1,4 @@
-"""One HTML page that needs no network: Markdown with formulas as MathML, tables, figures as data URIs, and the frame round them.
+"""One HTML page that needs no network: Markdown, formulas as MathML, tables, figures as data URIs, and their frame.
 
 Everything that comes from outside is escaped here. The page is well-formed XML too, which is what the tests check.
 """
@@ -66,10 +66,8 @@ def escape(text):
 def formula(tex, *, display=False):
     r"""A formula as MathML; ``\tag{7}`` at the end of a displayed one puts the number to its right.
 
-    Examples
-    --------
-    >>> formula("x^2")
-    '<math xmlns="http://www.w3.org/1998/Math/MathML" display="inline"><mrow><msup><mi>x</mi><mn>2</mn></msup></mrow></math>'
+    Examples -------- >>> formula("x^2") '<math xmlns="http://www.w3.org/1998/Math/MathML"
+    display="inline"><mrow><msup><mi>x</mi><mn>2</mn></msup></mrow></math>'
     """
     tex, tag = re.fullmatch(r"(?s)\s*(.*?)\s*(?:\\tag\{([^}]*)\})?\s*", tex).groups()
     mathml = latex2mathml.converter.convert(tex, display="block" if display else "inline")
@@ -82,14 +80,15 @@ def formula(tex, *, display=False):
 def table(head, rows, caption, *, keys=1, kind="numbers"):
     """A table whose first ``keys`` columns name the row; cells are HTML already, the caption too.
 
-    ``kind`` is "numbers" (columns of numbers stand to the right, no cell is broken), "prose" or "short": tables of sentences.
+    ``kind`` is "numbers" (columns of numbers stand to the right, no cell is broken), "prose" or "short": tables of
+    sentences.
     """
     columns = list(zip(*rows)) or [()] * len(head)
     right = [_NUMBER if i >= keys and kind == "numbers" and column and all(map(_is_number, column)) else "" for i, column in enumerate(columns)]
-    titles = "".join(f'<th scope="col"{place}>{name}</th>' for name, place in zip(head, right))
+    titles = "".join(f'<th scope="col"{style}>{name}</th>' for name, style in zip(head, right))
     body = []
     for row in rows:
-        cells = [f'<th scope="row">{cell}</th>' for cell in row[:keys]] + [f"<td{place}>{cell}</td>" for cell, place in zip(row[keys:], right[keys:])]
+        cells = [f'<th scope="row">{cell}</th>' for cell in row[:keys]] + [f"<td{style}>{cell}</td>" for cell, style in zip(row[keys:], right[keys:])]
         body.append(f"<tr>{''.join(cells)}</tr>")
     label = escape(html.unescape(re.sub("<[^>]*>", "", caption)))
     return (
@@ -116,20 +115,18 @@ def figure(path, alt, caption, identity):
 
 
 def picture(folder, name):
-    """The file that shows the figure ``name`` best in a page: its SVG, or its PNG when that is missing or the SVG is large; None without any."""
+    """The file that shows the figure ``name`` best: its SVG, or its PNG where the SVG is missing or large; or None."""
     svg, png = folder / f"{name}.svg", folder / f"{name}.png"
     if svg.is_file() and (svg.stat().st_size <= _LARGEST_SVG or not png.is_file()):
         return svg
     return png if png.is_file() else None
 
 
-def converter(lookup, block, contents):
+def converter(block, contents):
     """A function from Markdown to HTML.
 
     Parameters
     ----------
-    lookup : callable
-        ``{{ text }}`` -> what stands in its place (text, not HTML).
     block : callable
         Of a fenced block its kind and, from the YAML in it, a dictionary -> HTML.
     contents : list
@@ -141,11 +138,11 @@ def converter(lookup, block, contents):
             return escape(text)
 
         def heading(self, text, level, **_):
-            taken = [identity for _, identity, _ in contents]
+            identities = [identity for _, identity, _ in contents]
             plain = html.unescape(re.sub("<[^>]*>", "", text)).lower().replace("'", "")
             base = identity = re.sub(r"[^a-z0-9]+", "-", plain).strip("-") or "part"
-            while identity in taken:
-                identity = f"{base}-{sum(name.startswith(base) for name in taken) + 1}"
+            while identity in identities:
+                identity = f"{base}-{sum(name.startswith(base) for name in identities) + 1}"
             if level in (2, 3):
                 contents.append((level, identity, text))
             return f'<h{level} id="{identity}">{text}</h{level}>\n'
@@ -159,13 +156,7 @@ def converter(lookup, block, contents):
         def block_code(self, code, info=None):
             return block(info.strip(), yaml.safe_load(code) or {}) if info else super().block_code(code)
 
-        def lookup(self, text):
-            return escape(lookup(text))
-
-    def braces(markdown):
-        markdown.inline.register("lookup", r"\{\{ (?P<sought>[^{}]+) \}\}", _parse_lookup, before="codespan")
-
-    return mistune.Markdown(Renderer(escape=True), plugins=[math, braces])
+    return mistune.Markdown(Renderer(escape=True), plugins=[math])
 
 
 def inline(convert, text):
@@ -183,22 +174,17 @@ def frame(title, body, contents):
             chapters.append((link, []))
         else:
             chapters[-1][1].append(f"<li>{link}</li>")
-    listed = "\n".join(f"<li>{link}{'<ul>' + ''.join(parts) + '</ul>' if parts else ''}</li>" for link, parts in chapters)
+    items = "\n".join(f"<li>{link}{'<ul>' + ''.join(parts) + '</ul>' if parts else ''}</li>" for link, parts in chapters)
     return (
         '<!DOCTYPE html>\n<html xmlns="http://www.w3.org/1999/xhtml" lang="en">\n<head>\n<meta charset="utf-8" />\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1" />\n'
         "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\" />\n"
         f'<title>{escape(title)}</title>\n<link rel="icon" href="data:," />\n<style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n{first}'
-        f'<nav aria-label="Contents">\n<h2>Contents</h2>\n<ul>\n{listed}\n</ul>\n</nav>\n{rest}</main>\n</body>\n</html>\n'
+        f'<nav aria-label="Contents">\n<h2>Contents</h2>\n<ul>\n{items}\n</ul>\n</nav>\n{rest}</main>\n</body>\n</html>\n'
     )
 
 
-# ------------------------------------------------------------------------------------------------------------------------- parts
-
-
-def _parse_lookup(_, match, state):
-    state.append_token({"type": "lookup", "raw": " ".join(match["sought"].split())})
-    return match.end()
+# --- parts ------------------------------------------------------------------------------------------------------------
 
 
 def _is_number(cell):

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from sklearn.base import clone
 
+from tras import arguments
 from tras.recording import join
 from tras.plant import STATE_NAMES, STATE_UNITS, TORQUE_NAMES, TORQUE_UNITS
 from tras.study import each
@@ -101,10 +102,8 @@ def parameter_intervals(model, recording, draws=50, level=0.95, seed=0, pipeline
         As `lumped_parameters`; also on a count or level out of range, a single trajectory, ``points`` of other trajectories, or a draw that cannot be
         identified.
     """
-    if isinstance(draws, bool) or not isinstance(draws, (int, np.integer)) or draws < 2:
-        raise ValueError(f"draws is {draws!r}; give a whole number, 2 or more.")
-    if not 0 < level < 1:
-        raise ValueError(f"level is {level!r}; give a confidence between 0 and 1, for example 0.95.")
+    arguments.whole_number("draws", draws, 2)
+    arguments.number("level", level, 0, 1, ends=False, give="a confidence between 0 and 1, for example 0.95")
     if pipeline is not None and not callable(pipeline):
         raise ValueError(f"pipeline is {pipeline!r}; give a function of a recording that returns a fitted model.")
     recording = _plant_channels(join(recording))

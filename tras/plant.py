@@ -11,6 +11,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from tras import arguments
+
 STATE_NAMES = ("phi", "phidot", "psi", "psidot")
 STATE_UNITS = ("rad", "rad/s", "rad", "rad/s")
 STATE_PAIRS = (("phi", "phidot"), ("psi", "psidot"))  # an angle and its rate
@@ -73,8 +75,7 @@ class PlantParameters:
     def __post_init__(self):
         for name in LUMPED:
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
-                raise ValueError(f"{name} is {value!r}; give a finite number in SI units.")
+            arguments.number(name, value, give="a finite number in SI units")
             if name[0] in "CK" and value < 0:
                 raise ValueError(f"{name} is {value}; friction and stiffness cannot be negative.")
         for name, value in (("J_phi", self.J_phi), ("J_psi0", self.J_psi0), ("J + J_psi0", self.J + self.J_psi0)):

@@ -1,7 +1,7 @@
-"""Where an artefact comes from: revision, parameters, seeds, versions, machine and times, as JSON beside it and never inside it.
+"""Where an artefact comes from: revision, parameters, seeds, versions, machine, times; as JSON beside it, never inside.
 
-Beside `data/train.nc` lies `data/provenance/train.nc.json`; the folders `provenance/` are not in git. `build/PROFILE/STAGE.json` holds
-the same for a whole stage.
+Beside `data/train.nc` lies `data/provenance/train.nc.json`; the folders `provenance/` are not in git.
+`build/PROFILE/STAGE.json` holds the same for a whole stage.
 """
 
 import hashlib
@@ -24,8 +24,8 @@ VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "PYTH
 INSTRUCTIONS = ("sse4_2", "avx", "fma", "avx2", "avx512f", "asimd", "sve")  # BLAS and libm choose by these
 
 
-def record(notebook, parameters, outputs, began, seconds):
-    """What ran and what it wrote.
+def record(notebook, parameters, outputs, started, seconds):
+    """A record of what ran and what it wrote.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def record(notebook, parameters, outputs, began, seconds):
     parameters : dict
         All parameters, defaults included.
     outputs : sequence of Path
-    began : datetime.datetime
+    started : datetime.datetime
     seconds : float
 
     Returns
@@ -47,15 +47,15 @@ def record(notebook, parameters, outputs, began, seconds):
         "seeds": {name: value for name, value in parameters.items() if "seed" in name},
         "git": git_state(notebook.resolve().parent, outputs),
         "python": platform.python_version(),
-        "packages": versions(),
-        "environment": _checksum(ROOT / "environment.txt"),
+        "packages": packages(),
+        "environment": checksum(ROOT / "environment.txt"),
         "platform": platform.platform(),
         "processor": processor(),
         "instructions": instructions(),
         "variables": {name: os.environ[name] for name in VARIABLES if name in os.environ},
-        "started": began.isoformat(timespec="seconds"),
+        "started": started.isoformat(timespec="seconds"),
         "seconds": round(seconds, 2),
-        "outputs": {str(output): written(output) for output in outputs},
+        "outputs": {str(output): file_stamp(output) for output in outputs},
     }
 
 
@@ -65,25 +65,26 @@ def beside(artefact):
 
 
 def write_beside(record):
-    """For each output of a stage its own file: the stage's record, with this output's checksum only."""
-    for name, known in record["outputs"].items():
-        shared = {key: value for key, value in record.items() if key != "outputs"}
+    """Write a file for each output of a stage: the stage's record, with the checksum of this output alone."""
+    shared = {key: value for key, value in record.items() if key != "outputs"}
+    for name, stamp in record["outputs"].items():
         with replacing(beside(Path(name))) as temporary:
-            temporary.write_text(json.dumps({"artefact": name, **known, **shared}, indent=1) + "\n", encoding="utf-8")
+            temporary.write_text(json.dumps({"artefact": name, **stamp, **shared}, indent=1) + "\n", encoding="utf-8")
 
 
-def written(path):
+def file_stamp(path):
     """Size, times and SHA-256 of a file, by which `tras/staleness.py` knows it again."""
     status = path.stat()
-    return {"size": status.st_size, "mtime_ns": status.st_mtime_ns, "ctime_ns": status.st_ctime_ns, "sha256": _checksum(path)}
+    return {"size": status.st_size, "mtime_ns": status.st_mtime_ns, "ctime_ns": status.st_ctime_ns, "sha256": checksum(path)}
 
 
-def _checksum(path):
+def checksum(path):
+    """SHA-256 of a file in hexadecimal digits, None if it is not there."""
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.exists() else None
 
 
 def git_state(folder, outputs=()):
-    """Revision, and the files that differ from it other than ``outputs``; None, None, None outside git or without commits."""
+    """Revision, and the files other than ``outputs`` that differ from it; all None outside git or without commits."""
     try:
         revision = _git(folder, "rev-parse", "HEAD").strip()
         top = Path(_git(folder, "rev-parse", "--show-toplevel").strip())
@@ -100,16 +101,26 @@ def _git(folder, *command):
 
 
 def versions():
-    """Installed versions of the direct dependencies, which `environment.in` lists."""
-    listed = ROOT / "environment.in"
-    names = re.findall(r"^[A-Za-z0-9_.-]+", listed.read_text(encoding="utf-8"), re.MULTILINE) if listed.exists() else []
-    found = {}
+    """Versions that decide the numbers of a recording or a model, for its attributes."""
+    import numpy
+    import scipy
+
+    import tras
+
+    return {"tras": tras.__version__, "python": platform.python_version(), "numpy": numpy.__version__, "scipy": scipy.__version__}
+
+
+def packages():
+    """Versions of the direct dependencies, which `environment.in` lists; None for one that is not installed."""
+    requirements = ROOT / "environment.in"
+    names = re.findall(r"^[A-Za-z0-9_.-]+", requirements.read_text(encoding="utf-8"), re.MULTILINE) if requirements.exists() else []
+    installed = {}
     for name in names:
         try:
-            found[name] = metadata.version(name)
+            installed[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
-            found[name] = None
-    return found
+            installed[name] = None
+    return installed
 
 
 def processor():
@@ -125,16 +136,16 @@ def instructions():
 
 def _cpu(entry):
     try:
-        found = re.search(rf"^{entry}\s*: (.*)", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
+        match = re.search(rf"^{entry}\s*: (.*)", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
     except OSError:
         return ""
-    return found[1] if found else ""
+    return match[1] if match else ""
 
 
 def summary():
     """This checkout and this machine in one line."""
-    state, installed = git_state(ROOT), versions()
+    state, libraries = git_state(ROOT), versions()
     revision = f"revision {state['revision'][:12]}{' with changes' if state['dirty'] else ''}" if state["revision"] else "no revision"
-    packages = ", ".join(f"{name} {installed[name]}" for name in ("numpy", "scipy") if installed.get(name))
     machine = f"{processor()} ({' '.join(instructions()[-1:])})" if instructions() else processor()
-    return f"{revision}, Python {platform.python_version()}, {packages}, {sys.platform}, {machine}"
+    packages_used = ", ".join(f"{name} {libraries[name]}" for name in ("numpy", "scipy"))
+    return f"{revision}, Python {libraries['python']}, {packages_used}, {sys.platform}, {machine}"

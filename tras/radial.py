@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from tras.dictionary import Dictionary, check_count, check_positive
+from tras import arguments
+from tras.dictionary import POSITIVE, Dictionary
 
 CENTRES = ("uniform", "data", "kmeans")
 
@@ -19,7 +20,7 @@ class Radial(Dictionary):
     def _learn(self, z):
         self.centres_ = self._place(z)
         self.width_ = typical_distance(self.centres_) if isinstance(self.width, str) and self.width == "auto" else self.width
-        check_positive("width", self.width_)
+        arguments.number("width", self.width_, 0, ends=False, give=POSITIVE)
         self.width_ = float(self.width_)
 
     def _place(self, z):
@@ -28,7 +29,7 @@ class Radial(Dictionary):
             if centres.ndim != 2 or centres.shape[1] != len(z) or not np.isfinite(centres).all():
                 raise ValueError(f"centres has shape {centres.shape}; give (centres, {len(z)}) finite numbers in scaled channels, or a word.")
             return centres
-        check_count("n_centres", self.n_centres)
+        arguments.whole_number("n_centres", self.n_centres)
         if self.centres not in CENTRES:
             raise ValueError(f"centres is {self.centres!r}; choose one of {', '.join(CENTRES)}, or give an array.")
         rng = np.random.default_rng(self.seed)

@@ -4,11 +4,14 @@ A `Readings` holds one choice per option; `table` lists the choices beside the p
 `read_yaml` reads them from a parameter file. `tras.grid` studies all combinations.
 """
 
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Literal
 
 import pydantic
+
+from tras.arguments import did_you_mean
+from tras.files import markdown_table
+from tras.parameters import ParameterError, parse_yaml
 
 PAPER_NRMSE = {"yaw": 4.0589, "pitch": 5.5889}  # percent, by the words of Sec. III
 PAPER_FIT = {"field": "least_squares", "regularization": None, "extrapolation": "functions"}  # of `tras.KoopmanModel`
@@ -94,7 +97,7 @@ class ReadingError(ValueError):
 def choices(option):
     """The choices of an option, the default first."""
     if option not in OPTIONS:
-        raise ReadingError(f"there is no reading {option!r}: {_hint(option, OPTIONS)}")
+        raise ReadingError(f"there is no reading {option!r}{did_you_mean(option, OPTIONS)}")
     return tuple(OPTIONS[option][1])
 
 
@@ -166,14 +169,13 @@ def table():
 
 
 def markdown():
-    """The options as a Markdown table for docs and notebooks, one row per option."""
-    lines = ["| option | the paper | choices, the default first |", "| --- | --- | --- |"]
+    """The same for docs and notebooks: one row per option, the default first. Formulas stand in ``$...$``."""
+    lines = [("option", "the paper", "choices, the default first")]
     for option, (sentence, meanings) in OPTIONS.items():
-        formula = sentence.startswith("\\") or "\\frac" in sentence
-        quotation = f"${sentence}$" if formula else f"“{' '.join(sentence.split())}”"
-        explained = "; ".join(f"`{choice}`: {meaning}" for choice, meaning in meanings.items())
-        lines.append(f"| `{option}` | {quotation} | {explained} |")
-    return "\n".join(lines)
+        quoted = f"${sentence}$" if sentence.startswith("\\") or "\\frac" in sentence else f"“{' '.join(sentence.split())}”"
+        listed = "; ".join(f"`{choice}`: {meaning}" for choice, meaning in meanings.items())
+        lines.append((f"`{option}`", quoted, listed))
+    return markdown_table(lines)
 
 
 def read_yaml(path, *sections):
@@ -191,8 +193,6 @@ def read_yaml(path, *sections):
     ReadingError
         If the file cannot be read, is no mapping, or names an unknown option or choice; the message names the file.
     """
-    from tras.parameters import ParameterError, parse_yaml
-
     path = Path(path)
     try:
         content = parse_yaml(path.read_text(encoding="utf-8"), path)
@@ -202,8 +202,7 @@ def read_yaml(path, *sections):
         raise ReadingError(str(error)) from None
     for section in sections:
         if not isinstance(content, dict) or section not in content:
-            names = content if isinstance(content, dict) else []
-            raise ReadingError(f"{path} has no section {section!r}: {_hint(section, names)}")
+            raise ReadingError(f"{path} has no section {section!r}{did_you_mean(section, content if isinstance(content, dict) else [])}")
         content = content[section]
     if not isinstance(content or {}, dict):
         raise ReadingError(f"{path} holds a {type(content).__name__}: write one `option: choice` per line.")
@@ -214,40 +213,8 @@ def read_yaml(path, *sections):
 
 
 def _sentence(problem, values):
-    """pydantic's first error as one sentence for the person who made the mistake."""
+    """pydantic's first complaint as one sentence for the person who made the mistake."""
     option = str(problem["loc"][0])
     if problem["type"] == "extra_forbidden":
-        return f"there is no reading {option!r}: {_hint(option, OPTIONS)}"
-    return f"{option} is {values[option]!r}: {_hint(values[option], choices(option))}"
-
-
-def _hint(name, names):
-    names = list(map(str, names))
-    close = get_close_matches(str(name), names, 1)
-    return f"did you mean {close[0]!r}?" if close else f"choose one of {', '.join(names) or 'none'}."
-
-
-BEGIN, END = "<!-- readings: written by `python -m tras.readings docs/paper.md` -->", "<!-- end of readings -->"
-
-
-def main(arguments=None):
-    """Command line: write `markdown` into a file between its two markers; returns the exit status."""
-    import argparse
-    import sys
-
-    from tras.files import write_between
-
-    parser = argparse.ArgumentParser(
-        prog="python -m tras.readings", description="Write the table of readings into a document."
-    )
-    parser.add_argument("document", type=Path)
-    try:
-        write_between(parser.parse_args(arguments).document, BEGIN, END, markdown())
-    except (OSError, ValueError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+        return f"there is no reading {option!r}{did_you_mean(option, OPTIONS)}"
+    return f"{option} is {values[option]!r}{did_you_mean(values[option], choices(option))}"

@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 
+from tras.provenance import versions  # noqa: F401  for those that still look for it here
+
 _RESERVED = ("trajectory", "time", "sample", "row_size")  # columns and dimensions of the table and the file
 
 
@@ -39,6 +41,8 @@ class Recording:
     Examples
     --------
     >>> import numpy as np
+
+from tras.provenance import versions  # noqa: F401  for those that still look for it here
     >>> r = Recording(np.zeros((1, 50001, 4)), np.zeros((1, 50001, 2)), 0.01).cut(501)
     >>> len(r), r.states.shape, r.pairs
     (100, (100, 501, 4), 50000)
@@ -349,17 +353,6 @@ def require_alike(first, other, i):
     for label in ("dt", "state_names", "input_names"):
         if getattr(other, label) != getattr(first, label):
             raise ValueError(f"recording {i} has {label} {getattr(other, label)} but the first has {getattr(first, label)}; make them alike.")
-
-
-def versions():
-    """Versions that decide the numbers of a recording or a model, for its attributes."""
-    import platform
-
-    import scipy
-
-    import tras
-
-    return {"tras": tras.__version__, "python": platform.python_version(), "numpy": np.__version__, "scipy": scipy.__version__}
 
 
 def _trajectories(name, values):

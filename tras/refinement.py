@@ -7,6 +7,7 @@ import numpy as np
 from scipy import linalg
 from tqdm import tqdm
 
+from tras import arguments
 from tras.noise import noise_level
 
 _SEGMENTS = (1001, 501, 251, 126, 63)  # samples of a segment, the first of these over which predictions hold
@@ -57,9 +58,8 @@ def refine(model, recording, rows=None, iterations=6, segment=None):
     """
     if getattr(model, "predictor", None) != "vector_field" or not hasattr(model, "W_"):
         raise ValueError("refine needs a model with a vector field; fit KoopmanModel(..., predictor='vector_field') first.")
-    for name, value, least in (("iterations", iterations, 1), ("segment", _SEGMENTS[0] if segment is None else segment, 2)):
-        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-            raise ValueError(f"{name} is {value!r}; give a whole number, {least} or more.")
+    arguments.whole_number("iterations", iterations)
+    arguments.whole_number("segment", _SEGMENTS[0] if segment is None else segment, 2)
     recording = model.channels_.matched(recording)
     model = copy.deepcopy(model)
     rows = _equations(model, recording, rows)

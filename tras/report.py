@@ -1,19 +1,18 @@
 """The whole replication as one page that opens without network: `make report`.
 
-The story is docs/report.md. Its numbers are looked up in the tables (`tras.lookups`); a fenced block (``figure``, ``table``, ``compare``, ``claims``,
-``errors``, ``readings``, ``plant``, ``provenance``) with YAML in it stands for what is made here.
-A section whose files are missing says so in one sentence.
+The story is docs/report.md. `tras.lookups` puts the tables' numbers into it; a fenced block (``figure``, ``table``,
+``compare``, ``claims``, ``errors``, ``readings``, ``plant``, ``provenance``) with YAML in it stands for what is made
+here. A section whose files are missing says so in one sentence.
 
 ``python -m tras.report build/paper/report.html --data data --figures figures --build build/paper``
 """
 
 import argparse
-import json
 import re
 import sys
 from pathlib import Path
 
-from tras import claims, files, lookups, page
+from tras import claims, files, lookups, page, tables
 from tras.lookups import Lacking, Sources, number
 
 _SIGNS = dict(zip(claims.VERDICTS, (("✓", "reproduced"), ("◐", "named"), ("✗", "not"), ("?", "uncheckable"))))
@@ -32,7 +31,7 @@ def report(story, sources):
     -------
     html : str
     lacking : list of str
-        What could not be shown, a sentence each.
+        One sentence for each part that could not be shown.
 
     Raises
     ------
@@ -41,12 +40,12 @@ def report(story, sources):
     """
     contents, lacking, bodies = [], [], []
     sources = sources._replace(**{name: Path(path) for name, path in sources._asdict().items()})
-    convert = page.converter(lambda text: lookups.look_up(text, sources), lambda kind, spec: _block(kind, spec, sources, convert), contents)
+    convert = page.converter(lambda kind, spec: _block(kind, spec, sources, convert), contents)
     for section in re.split(r"^(?=#{1,3} )", story, flags=re.MULTILINE):
         heading, _, text = section.partition("\n")
         bodies.append(convert(heading))
         try:
-            bodies.append(convert(text))
+            bodies.append(convert(lookups.render(text, sources)))
         except Lacking as lack:
             lacking.append(str(lack))
             bodies.append(f'<p class="lacking">{page.inline(convert, f"This part is not shown: {lack}")}</p>\n')
@@ -56,7 +55,7 @@ def report(story, sources):
     return page.frame(story.partition("\n")[0].lstrip("# "), body, contents), lacking
 
 
-# --- blocks --------------------------------------------------------------------------------------------------------------------
+# --- blocks -----------------------------------------------------------------------------------------------------------
 
 
 def _block(kind, spec, sources, convert):
@@ -84,15 +83,13 @@ def _from_markdown(text, caption, inline, *, kind):
 
 
 def _compare(spec, sources, inline):
-    from tras import tables
-
     path = sources.path("figures/table.csv")
     try:
         text = tables.markdown(tables.read(path))
     except (KeyError, TypeError, ValueError, IndexError, StopIteration):
         raise ValueError(f"{path} is not the table paper against ours: delete it, and make all makes it anew.") from None
-    shown = _from_markdown(text, spec["caption"], inline, kind="numbers")
-    return re.sub(r"(<td[^>]*>\S+) \(", r"\1 <br />(", shown)  # the range below the median: seven columns are wide
+    html = _from_markdown(text, spec["caption"], inline, kind="numbers")
+    return re.sub(r"(<td[^>]*>\S+) \(", r"\1 <br />(", html)  # the range below the median: seven columns are wide
 
 
 def _errors(spec, _, inline):
@@ -123,7 +120,7 @@ def _verdict(row):
 def _claims(spec, sources, inline):
     """All claims: in short with ``table: true``, each with its evidence without."""
     path, e = sources.path("data/claims.csv"), page.escape
-    rows = claims.read(path)
+    rows = tables.read(path)
     try:
         rows = [{name: row[name].strip() for name in claims.COLUMNS} for row in rows]
         rows = [row | {name: float(row[name] or "nan") for name in ("value", "low", "high")} for row in rows]
@@ -156,7 +153,7 @@ def _sentence(text):
 
 
 def _provenance(spec, sources, inline):
-    """What `tras.runner` recorded beside the executed notebooks: when and from which revision, then everything else, once where it is the same."""
+    """The records that `tras.runner` leaves beside executed notebooks; what several share stands there once."""
     records = {path.stem: lookups.record(path) for path in sorted(sources.build.glob("[0-9]*.json")) if path.with_suffix(".ipynb").is_file()}
     if not records:
         raise Lacking(f"no stage has left a record beside its executed notebook: {sources.command} runs them.")
@@ -167,18 +164,18 @@ def _provenance(spec, sources, inline):
         rows.append([e(stage), f"<code>{e(revision)}</code>", e(record.get("started", "–")), e(number(record.get("seconds"), ".1f"))])
         for name, value in _environment(record).items():
             facts.setdefault(name, {}).setdefault(value, []).append(stage)
-    several = {name: "; ".join(f"{value} ({', '.join(by)})" for value, by in found.items()) for name, found in facts.items()}
-    listed = [[e(name), e(next(iter(found)) if len(found) == 1 else several[name])] for name, found in facts.items()]
+    several = {name: "; ".join(f"{value} ({', '.join(by)})" for value, by in values.items()) for name, values in facts.items()}
+    cells = [[e(name), e(next(iter(values)) if len(values) == 1 else several[name])] for name, values in facts.items()]
     stages = page.table(["stage", "git revision", "started", "seconds"], rows, inline(spec["stages"]))
-    return stages + page.table(["what", "version or value"], listed, inline(spec["environment"]), kind="prose")
+    return stages + page.table(["what", "version or value"], cells, inline(spec["environment"]), kind="prose")
 
 
 def _environment(record):
     """What a stage ran with, as far as its record says: name -> text."""
-    found = {name: record[name] for name in ("python", "platform", "processor") if name in record}
-    found |= {"vector instructions": ", ".join(record["instructions"])} if record.get("instructions") else {}
-    found |= {"SHA-256 of environment.txt": record["environment"]} if record.get("environment") else {}
-    return {name: str(value) for name, value in (found | record.get("variables", {}) | record.get("packages", {})).items()}
+    facts = {name: record[name] for name in ("python", "platform", "processor") if name in record}
+    facts |= {"vector instructions": ", ".join(record["instructions"])} if record.get("instructions") else {}
+    facts |= {"SHA-256 of environment.txt": record["environment"]} if record.get("environment") else {}
+    return {name: str(value) for name, value in (facts | record.get("variables", {}) | record.get("packages", {})).items()}
 
 
 _BLOCKS = {

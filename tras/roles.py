@@ -5,6 +5,8 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
+from tras import arguments
+
 _KEYS = ("time", "states", "inputs", "trial", "dt", "units")
 _TIME = {"t", "time", "times", "timestamp", "zeit", "tout", "seconds", "elapsed", "datetime"}
 _TRIAL = {"trial", "run", "episode", "trajectory", "traj", "experiment", "repetition", "segment", "sequence", "session"}
@@ -157,8 +159,8 @@ def _read(given):
             raise RecordingError(f"roles: {key} is {value!r}; give the name of one column.")
         elif key == "units" and not (isinstance(value, dict) and all(isinstance(text, str) for pair in value.items() for text in pair)):
             raise RecordingError(f"roles: units is {value!r}; give name: unit for each.")
-        elif key == "dt" and (isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < float("inf")):
-            raise RecordingError(f"roles: dt is {value!r}; give the sampling time in s, a positive number.")
+        elif key == "dt":
+            arguments.number("roles: dt", value, 0, ends=False, give="the sampling time in s, a positive number", error=RecordingError)
     return given
 
 

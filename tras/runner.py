@@ -4,9 +4,9 @@
 
 A parameter whose name or type the notebook's `parameters` cell does not know is an error (`tras.parameters`).
 
-The executed notebook appears under its final name as the very last act of a successful run, so that make can take it as its
-stamp. Beside it, `EXECUTED.json` says what ran: parameters, revision, versions, machine, checksums of the outputs; and each output has
-its own such file beside it (`tras.provenance`).
+The executed notebook appears under its final name as the very last act of a successful run, so that make can take it as
+its stamp. Beside it, `EXECUTED.json` says what ran: parameters, revision, versions, machine, checksums of the outputs;
+and each output has its own such file beside it (`tras.provenance`).
 """
 
 import argparse
@@ -26,12 +26,12 @@ from tras.files import replacing
 from tras.parameters import ParameterError, check_parameters, notebook_defaults, parse_settings, read_params
 
 KERNEL = "python3"
-# The same bits whoever starts the run: sums depend on the number of BLAS threads. Set outside, a value is kept.
+# The same bits whoever starts the run: sums depend on the number of BLAS threads. A value that is set outside counts.
 PINNED = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
 
 
 class RunError(RuntimeError):
-    """The notebook ran and did not do what it should. ``name`` and ``words`` are those of the error in a cell, if it was one."""
+    """The notebook ran and did not do what it should. ``name`` and ``words`` are those of a cell's error, if any."""
 
     name = words = ""
 
@@ -42,7 +42,7 @@ class Interrupted(KeyboardInterrupt):
     received = False  # the kernel manager asks here whether to wait for the kernel's farewell
 
 
-# --- the run -------------------------------------------------------------------------------------------------------------------
+# --- the run ----------------------------------------------------------------------------------------------------------
 
 
 def run_notebook(notebook, executed, parameters=None, outputs=()):
@@ -65,7 +65,8 @@ def run_notebook(notebook, executed, parameters=None, outputs=()):
     Raises
     ------
     RunError
-        When a cell fails, the kernel dies or an output is not written. The notebook up to there is kept as `*.failed.ipynb`.
+        When a cell fails, the kernel dies or an output is not written. The notebook up to there is kept as
+        `*.failed.ipynb`.
     """
     notebook, executed, outputs = Path(notebook), Path(executed), [Path(output) for output in outputs]
     running, failed, record = (executed.with_suffix(end) for end in (".running.ipynb", ".failed.ipynb", ".json"))
@@ -74,15 +75,15 @@ def run_notebook(notebook, executed, parameters=None, outputs=()):
         folder.mkdir(parents=True, exist_ok=True)
     for leftover in (executed, record, running, failed, *sidecars, *_temporaries([record, *outputs, *sidecars])):
         leftover.unlink(missing_ok=True)
-    start, began = time.time(), datetime.datetime.now(datetime.timezone.utc)
+    start, started = time.time(), datetime.datetime.now(datetime.timezone.utc)
     try:
         _execute(notebook, running, parameters or {})
         _check_outputs(outputs, start, notebook)
         seconds = time.time() - start
-        ran = provenance.record(notebook, {**notebook_defaults(notebook), **(parameters or {})}, outputs, began, seconds)
-        provenance.write_beside(ran)
+        entry = provenance.record(notebook, {**notebook_defaults(notebook), **(parameters or {})}, outputs, started, seconds)
+        provenance.write_beside(entry)
         with replacing(record) as temporary:
-            temporary.write_text(json.dumps(ran, indent=1) + "\n", encoding="utf-8")
+            temporary.write_text(json.dumps(entry, indent=1) + "\n", encoding="utf-8")
         os.replace(running, executed)
         return seconds
     except RunError as error:
@@ -99,7 +100,7 @@ def _execute(notebook, running, parameters):
     """Papermill, with its failures as one RunError."""
     for name, value in PINNED.items():
         os.environ.setdefault(name, value)
-    sys.modules.setdefault("rfc3987_syntax", None)  # an optional validator that costs 1.1 s at import and is not needed here
+    sys.modules.setdefault("rfc3987_syntax", None)  # optional, not needed, 1.1 s of imports
     import papermill
     from jupyter_client import AsyncKernelManager
     from jupyter_client.kernelspec import NoSuchKernel
@@ -109,19 +110,19 @@ def _execute(notebook, running, parameters):
 
     class Manager(AsyncKernelManager):
         transport_encryption = "auto"  # else ipykernel 7.3 and later warn at every start
-        shutdown_wait_time = 1.0  # s; one kernel in fifteen never answers the farewell, and the default would wait 3.4 s for it
+        shutdown_wait_time = 1.0  # s, instead of 3.4; one kernel in fifteen never answers the farewell
 
         async def _async_post_start_kernel(self, **options):
             await super()._async_post_start_kernel(**options)
             guards.append(_guard(self.provisioner.pgid))
 
         async def _async_interrupt_kernel(self):
-            """No interrupt as part of the farewell: the kernel is idle or about to be killed, and would only log an error."""
+            """No interrupt as part of the farewell: the kernel, idle or about to be killed, would only log an error."""
             if not self.shutting_down:
                 await super()._async_interrupt_kernel()
 
         async def shutdown_kernel(self, now=False, restart=False):
-            """A kernel that is asked politely in the middle of a cell prints tracebacks; after an interrupt it is killed."""
+            """Kill the kernel after an interrupt: asked politely in the middle of a cell, it would print tracebacks."""
             await super().shutdown_kernel(now=now or Interrupted.received, restart=restart)
 
     try:
@@ -151,7 +152,7 @@ def _execute(notebook, running, parameters):
 
 
 def _guard(group):
-    """A process that ends the kernel and its workers when we are gone or give up: killed outright, we could not do it ourselves.
+    """A process that ends the kernel and its workers when we are gone or give up: killed outright, we could not.
 
     The kernel would notice within a second, in which it might write; its idle workers would stay for five minutes.
     """
@@ -165,8 +166,9 @@ def _check_outputs(outputs, start, notebook):
     slack = 0.05  # s; a file's time comes from a coarser clock than ours
     for output in outputs:
         if not output.exists() or output.stat().st_mtime < start - slack:
-            found = "is not there" if not output.exists() else "is still the one from before"
-            raise RunError(f"{notebook.stem} ran to its end, but {output} {found}: let the notebook write it or drop it from make's list.")
+            problem = "is not there" if not output.exists() else "is still the one from before"
+            remedy = "let the notebook write it or drop it from make's list"
+            raise RunError(f"{notebook.stem} ran to its end, but {output} {problem}: {remedy}.")
 
 
 def _temporaries(finals):
@@ -176,7 +178,7 @@ def _temporaries(finals):
     ]
 
 
-# --- the command line ----------------------------------------------------------------------------------------------------------
+# --- the command line -------------------------------------------------------------------------------------------------
 
 
 def _interrupt(number, _frame):
@@ -203,7 +205,7 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(prog="python -m tras.runner", description="Run one notebook with checked parameters.")
     parser.add_argument("notebook", type=Path)
     parser.add_argument("executed", type=Path, help="where the executed notebook goes")
-    parser.add_argument("--params", type=Path, metavar="FILE.yaml", help="parameters, one section a notebook")
+    parser.add_argument("--params", type=Path, metavar="FILE.yaml", help="parameters, one section per notebook")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="one parameter more; wins over the file")
     parser.add_argument("--outputs", nargs="*", default=[], metavar="PATH", help="files that the run must write")
     options = parser.parse_args(arguments)
@@ -223,8 +225,8 @@ def main(arguments=None):
         print(error, file=sys.stderr)
         return 1
     except OSError as error:
-        found = f"{error.filename}: {error.strerror}" if error.filename else error
-        print(f"{options.notebook.stem}: {found}; nothing was left under the name {options.executed}.", file=sys.stderr)
+        problem = f"{error.filename}: {error.strerror}" if error.filename else error
+        print(f"{options.notebook.stem}: {problem}; nothing was left under the name {options.executed}.", file=sys.stderr)
         return 1
     except Interrupted as interrupt:
         number = interrupt.args[0]

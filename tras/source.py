@@ -1,9 +1,11 @@
-"""What every reader of tables gives, and how large a file may be."""
+"""Which files are read, what every reader of tables gives, and how large a file may be."""
 
 from typing import Callable, NamedTuple
 
 from tras.roles import RecordingError
 
+FORMAT = "tras recording 2"  # what a file of ours says that it is
+SUFFIXES = (".nc", ".csv", ".parquet", ".mat")
 MAX_VALUES = 10**8  # numbers of a recording: 800 MB
 MAX_COLUMNS = 10_000
 MAX_TEXT = 2**28  # bytes of a text file

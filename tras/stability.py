@@ -14,6 +14,8 @@ where eigenvalues meet. All is done in the coordinates of orthonormal regressors
 import numpy as np
 from scipy import linalg, optimize
 
+from tras import arguments
+
 _LINEAR_STEPS = 5  # more of them only creep
 _BAND = 0.05  # eigenvalues this close to the largest are watched in a linearised step
 _INSIDE = 1e-6  # A must be strictly stable, or its Lyapunov norm does not exist
@@ -271,8 +273,6 @@ def _checked(R, free, constant, radius, iterations):
         raise ValueError("R or free holds NaN or infinity; repair the data or the fit that it comes from.")
     if constant and np.linalg.norm(R @ (free[:, 0] - np.eye(len(free))[0])) > 1e-6 * np.linalg.norm(R[:, 0]):
         raise ValueError("free does not predict the first function as the constant that it should be; put that first, or give constant=False.")
-    if isinstance(radius, bool) or not (isinstance(radius, (int, float, np.number)) and np.isfinite(radius) and radius > 0):
-        raise ValueError(f"radius is {radius!r}; give a positive number, 1 for a model whose powers stay bounded.")
-    if isinstance(iterations, bool) or not isinstance(iterations, (int, np.integer)) or iterations < 0:
-        raise ValueError(f"iterations is {iterations!r}; give a whole number, 0 or more.")
+    arguments.number("radius", radius, 0, ends=False, give="a positive number, 1 for a model whose powers stay bounded")
+    arguments.whole_number("iterations", iterations, 0)
     return R, free

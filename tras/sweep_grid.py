@@ -1,13 +1,13 @@
 """What a sweep (`tras.sweep`) varies: grids of options, and the points that they stand for."""
 
-import difflib
 import inspect
 import itertools
-import math
 from typing import NamedTuple
 
 from sklearn.base import clone
 
+from tras import arguments
+from tras.arguments import did_you_mean
 from tras.dictionary import Dictionary, Exponentials, Fourier, Monomials, Product, Union, label, spelled
 from tras.mechanical import Mechanical
 from tras.model import KoopmanModel
@@ -68,7 +68,7 @@ def points(grid):
 def _combinations(part):
     for option in part:
         if option not in MODEL | DATA:
-            raise ValueError(f"grid: there is no option {option!r}{hint(option, MODEL | DATA)}")
+            raise ValueError(f"grid: there is no option {option!r}{did_you_mean(option, MODEL | DATA)}")
     values = {option: _values(option, value) for option, value in part.items()}
     if "dictionary" not in values:
         raise ValueError("grid names no dictionary; give for example {'dictionary': [tras.Monomials(2)]}.")
@@ -94,7 +94,7 @@ def dictionaries(spec):
     if name is None:
         raise ValueError(f"grid: dictionary is {spec!r}; give one such as tras.Monomials(2), in YAML {{Monomials: {{degree: 2}}}}.")
     if name not in DICTIONARIES:
-        raise ValueError(f"grid: there is no dictionary {name!r}{hint(name, DICTIONARIES)}")
+        raise ValueError(f"grid: there is no dictionary {name!r}{did_you_mean(name, DICTIONARIES)}")
     if name in ("Union", "Product"):
         if not isinstance(parameters, list) or not parameters:
             raise ValueError(f"grid: {name} has {parameters!r}; give a list of dictionaries.")
@@ -104,7 +104,7 @@ def dictionaries(spec):
     known = DICTIONARIES[name]().get_params(deep=False)
     for parameter in parameters or {}:
         if parameter not in known:
-            raise ValueError(f"grid: {name} has no parameter {parameter!r}{hint(parameter, known)}")
+            raise ValueError(f"grid: {name} has no parameter {parameter!r}{did_you_mean(parameter, known)}")
     values = {parameter: _values(f"{name}: {parameter}", value) for parameter, value in (parameters or {}).items()}
     return [DICTIONARIES[name](**dict(zip(values, combination))) for combination in itertools.product(*values.values())]
 
@@ -117,15 +117,7 @@ def _values(option, value):
 
 
 def _check_data(seconds, every, split_seed):
-    number = isinstance(seconds, (int, float)) and not isinstance(seconds, bool)
-    if seconds is not None and not (number and 0 < seconds < math.inf):
-        raise ValueError(f"grid: seconds is {seconds!r}; give the length of the training data in s, or None for all.")
-    for name, value, least in (("every", every, 1), ("split_seed", split_seed, 0)):
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise ValueError(f"grid: {name} is {value!r}; give a whole number, {least} or more.")
-
-
-def hint(name, known):
-    """The end of a sentence about a name that is not known."""
-    close = difflib.get_close_matches(str(name), list(known), 1)
-    return f": did you mean {close[0]!r}?" if close else f"; there are {', '.join(known)}."
+    if seconds is not None:
+        arguments.number("grid: seconds", seconds, 0, ends=False, give="the length of the training data in s, or None for all")
+    arguments.whole_number("grid: every", every)
+    arguments.whole_number("grid: split_seed", split_seed, 0)

@@ -15,12 +15,13 @@ from typing import Annotated, Any
 import pydantic
 
 from tras import figures, figures_sweep, sweeps
+from tras.arguments import did_you_mean
 from tras.closed_loop import simulate_closed_loop
 from tras.excitation import PITCH_MAX_FREQUENCY, PITCH_PEAK, YAW_MAX_FREQUENCY, YAW_PEAK, multisine
 from tras.files import replacing
 from tras.parameters import ParameterError, parse_yaml
 from tras.recording import Recording
-from tras.sweep_grid import DATA, MODEL, hint
+from tras.sweep_grid import DATA, MODEL
 
 Positive = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
 Names = Annotated[list[str], pydantic.Field(min_length=1)]
@@ -106,7 +107,7 @@ def _checked(kind, content, place):
         problem = error.errors()[0]
         name = ".".join(map(str, problem["loc"]))
         if problem["type"] == "extra_forbidden":
-            raise DescriptionError(f"{place}there is no {name!r}{hint(name, kind.model_fields)}") from None
+            raise DescriptionError(f"{place}there is no {name!r}{did_you_mean(name, kind.model_fields)}") from None
         if problem["type"] == "missing":
             raise DescriptionError(f"{place}{name} is missing; there are {', '.join(kind.model_fields)}.") from None
         reason = problem["msg"].removeprefix("Input ")

@@ -1,19 +1,23 @@
-"""The table paper against ours: made from the metrics, printed by `make all`, written into the README by `make readme`.
+"""The tables of README.md and docs/paper.md, each written between its two markers; none of their numbers is typed.
 
-``python -m tras.tables figures/table.csv`` prints it; with ``--readme README.md`` writes it there; with ``--check README.md`` says whether
-the README holds it.
+``python -m tras.tables`` prints them, or those that are named; with ``--write`` it writes them into their pages (`make
+readme`); with ``--check`` it says which page holds another one. `comparison` makes the table paper against ours, which
+`make all` prints.
 """
 
 import argparse
 import csv
+import importlib
 import itertools
 import math
+import statistics
 import sys
 from pathlib import Path
 
-from tras.files import between, replacing
+from tras.arguments import did_you_mean
+from tras.files import markdown_table, write_between
 
-# No pandas at the top: printing the table is all that `make all` does when nothing has changed.
+# No pandas at the top: printing one table is all that `make all` does when nothing has changed.
 
 COLUMNS = {  # (input, model) -> heading
     ("paper", "paper"): "paper",
@@ -24,40 +28,43 @@ COLUMNS = {  # (input, model) -> heading
     ("torque", "mechanical"): "torque, mechanical",
 }
 _MISSING = "not given"
-BEGIN, END = "<!-- table: written by `make readme` -->", "<!-- end of table -->"
+_BOUND = "grey box"  # knows the equations: it stands in a sentence below the table of methods
+_METHOD_COLUMNS = (("reference", "window"), ("torque", "window"), ("torque", "free run"))
 _METRICS = {"nrmse": "NRMSE (%)", "enr": "Enr", "bfr": "BFR (%)", "condition": "condition number of the liftings"}
 
 
 def comparison(metrics, identification):
-    """The numbers of the table: the metrics of both angles over the independent multisine recordings, and the conditioning.
+    """The numbers of the table: metrics of both angles over the independent multisines, and the conditioning.
 
     Parameters
     ----------
     metrics : pandas.DataFrame
-        As `tras.validation.score` gives it, with the columns ``kind`` ("window" or "free run"), ``input, model`` beside.
+        As `tras.validation.score` gives it, with the columns ``kind`` ("window" or "free run"), ``input, model``
+        beside.
     identification : pandas.DataFrame
         Columns ``input, model, condition``.
 
     Returns
     -------
     pandas.DataFrame
-        Columns ``kind, horizon, metric, angle, input, model, median, lowest, highest`` (over the recordings), ``windows, diverged``. The
-        paper's own numbers have the input ``paper``; the condition number of the liftings the kind ``fit``.
+        Columns ``kind, horizon, metric, angle, input, model, median, lowest, highest`` (over the recordings),
+        ``windows, diverged``. The paper's own numbers have the input ``paper``; the condition number of the liftings
+        the kind ``fit``.
     """
     import pandas as pd
 
     from tras.readings import PAPER_NRMSE
 
-    chosen = metrics[metrics["recording"].str.startswith("multisine")].set_index(["kind", "input", "model", "angle"]).sort_index()
+    multisines = metrics[metrics["recording"].str.startswith("multisine")].set_index(["kind", "input", "model", "angle"]).sort_index()
     condition = identification.set_index(["input", "model"])["condition"]
     sources = [source for source in COLUMNS if source[0] != "paper"]
     rows = []
     for kind, name in [("window", "nrmse"), ("window", "enr"), ("window", "bfr"), ("free run", "nrmse")]:
         for angle in ("yaw", "pitch"):
             for source in sources:
-                here = chosen.loc[[(kind, *source, angle)]]
-                v, horizon = here[name], here["horizon"].iloc[0]
-                rows.append((kind, horizon, name, angle, *source, v.median(), v.min(), v.max(), here["windows"].sum(), here["diverged"].sum()))
+                group = multisines.loc[[(kind, *source, angle)]]
+                v, horizon = group[name], group["horizon"].iloc[0]
+                rows.append((kind, horizon, name, angle, *source, v.median(), v.min(), v.max(), group["windows"].sum(), group["diverged"].sum()))
             if kind == "window" and name == "nrmse":
                 value = PAPER_NRMSE[angle]
                 rows.append((kind, horizon, name, angle, "paper", "paper", value, value, value, 0, 0))
@@ -69,41 +76,26 @@ def comparison(metrics, identification):
 
 
 def read(path):
-    """Rows of ``table.csv`` as dictionaries, numbers as numbers."""
+    """Rows of a CSV file as dictionaries of text."""
     with open(path, newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    for row in rows:
-        for name in ("horizon", "median", "lowest", "highest"):
-            row[name] = float(row[name] or "nan")
-    return rows
+        return list(csv.DictReader(file))
 
 
 def markdown(rows):
-    """The table as Markdown: one row a metric and angle, one column a source; ``median (lowest to highest)``."""
-    head, *body = _cells(rows)
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in [head, ["---"] * len(head), *body])
+    """The table paper against ours: a row per metric and angle, a column per source; ``median (lowest to highest)``."""
+    return markdown_table(_cells(rows))
 
 
 def text(rows):
-    """The table for a terminal."""
+    """The same for a terminal."""
     cells = _cells(rows)
     widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
     return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in cells)
 
 
-def into_readme(readme, rows):
-    """``readme`` (its text) with the part between the two markers replaced by the table.
-
-    Raises
-    ------
-    ValueError
-        If a marker is missing.
-    """
-    return between(readme, BEGIN, END, markdown(rows), "the README")
-
-
 def _cells(rows):
     """Rows of strings, the heading first."""
+    rows = [row | {name: float(row[name] or "nan") for name in ("horizon", "median", "lowest", "highest")} for row in rows]
     cells = [["", *COLUMNS.values()]]
     kinds = {"window": "s windows", "free run": "s free run"}
     for (kind, metric, angle), group in itertools.groupby(rows, key=lambda row: (row["kind"], row["metric"], row["angle"])):
@@ -112,9 +104,9 @@ def _cells(rows):
         label = f"{_METRICS[metric]}, {angle}, {horizon:g} {kinds[kind]}" if kind in kinds else _METRICS[metric]
         cells.append([label, *(_number(by_source.get(source)) for source in COLUMNS)])
     for kind in kinds:
-        here = [row for row in rows if row["kind"] == kind]
-        counts = {(row["input"], row["model"]): f"{row['diverged']} of {row['windows']}" for row in here if row["input"] != "paper"}
-        cells.append([f"diverged, {here[0]['horizon']:g} {kinds[kind]}", *(counts.get(source, _MISSING) for source in COLUMNS)])
+        alike = [row for row in rows if row["kind"] == kind]
+        counts = {(row["input"], row["model"]): f"{row['diverged']} of {row['windows']}" for row in alike if row["input"] != "paper"}
+        cells.append([f"diverged, {alike[0]['horizon']:g} {kinds[kind]}", *(counts.get(source, _MISSING) for source in COLUMNS)])
     return cells
 
 
@@ -131,26 +123,118 @@ def _number(row):
     return "{median:.{digits}f} ({lowest:.{digits}f} to {highest:.{digits}f})".format(**row, digits=digits)
 
 
+# --- methods beside ours ----------------------------------------------------------------------------------------------
+
+
+def methods(rows):
+    """Errors of each method over the multisines of ``comparison.csv``.
+
+    Parameters
+    ----------
+    rows : sequence of dict
+
+    Returns
+    -------
+    entries : dict
+        Method -> {"parameters": {input: count}, (input, kind, angle): [errors, diverged, windows]}.
+    horizons : list of float
+    """
+    rows = [row for row in rows if row["recording"].startswith("multisine")]
+    if not rows:
+        raise ValueError("the comparison holds no multisine recording; make it again with make all.")
+    horizons = sorted({float(row["horizon"]) for row in rows})
+    if len(horizons) < 2:
+        raise ValueError(f"the comparison holds the horizons {horizons}; at least a window and a free run are needed.")
+    kinds = {horizons[-2]: "window", horizons[-1]: "free run"}
+    entries = {}
+    for row in rows:
+        entry = entries.setdefault(row["method"], {"parameters": {}})
+        entry["parameters"][row["input"]] = row["parameters"]
+        if float(row["horizon"]) in kinds:
+            values = entry.setdefault((row["input"], kinds[float(row["horizon"])], row["angle"]), [[], 0, 0])
+            values[0].append(float(row["nrmse"] or "nan"))
+            values[1] += int(row["diverged"])
+            values[2] += int(row["windows"])
+    return entries, horizons
+
+
+def methods_markdown(rows):
+    """The table of methods, and a sentence on the grey box."""
+    entries, horizons = methods(rows)
+    bound = entries.pop(_BOUND, None)
+    window, free = (f"{h:g} s" for h in horizons[-2:])
+    lines = [["method", "parameters", *(f"{name}, {window if kind == 'window' else free}: yaw / pitch" for name, kind in _METHOD_COLUMNS)]]
+    for method, entry in entries.items():
+        counts = dict.fromkeys(str(int(float(count))) for count in entry["parameters"].values() if count not in ("", None))
+        lines.append([method, "; ".join(counts), *(_yaw_pitch(entry, *column) for column in _METHOD_COLUMNS)])
+    if bound is None:
+        return markdown_table(lines)
+    errors = f"{_yaw_pitch(bound, 'torque', 'window')} % over {window}"
+    sentence = f"The {_BOUND}, the plant's own equations with eight parameters from the same data, has {errors}: the bound."
+    return f"{markdown_table(lines)}\n\n{sentence}"
+
+
+def _yaw_pitch(entry, *column):
+    cells, divergence = [], ""
+    for angle in ("yaw", "pitch"):
+        errors, diverged, windows = entry.get((*column, angle), ([], 0, 0))
+        errors = [error for error in errors if not math.isnan(error)]
+        cells.append(f"{statistics.median(errors):.3g}" if errors else "-")
+        divergence = f" ({diverged} of {windows} diverged)" if diverged else ""
+    return " / ".join(cells) + divergence if entry.get((*column, "yaw")) else "-"
+
+
+# --- the command ------------------------------------------------------------------------------------------------------
+
+
+def _of(module, function="markdown"):
+    """A function of a module beside this one, imported when it is called: `make all` prints one table, and fast."""
+    return lambda *rows: getattr(importlib.import_module(f".{module}", __package__), function)(*rows)
+
+
+TABLES = {  # name -> (page, CSV file whose rows go in, if any; the table in Markdown; for a terminal, if that is another)
+    "table": ("README.md", "figures/table.csv", markdown, text),
+    "comparison": ("README.md", "data/comparison.csv", methods_markdown, None),
+    "claims": ("README.md", "data/claims.csv", _of("claims"), _of("claims", "text")),
+    "errors": ("docs/paper.md", "", _of("errata"), None),
+    "readings": ("docs/paper.md", "", _of("readings"), None),
+}
+
+
+def markers(name):
+    """The two lines between which a page holds the table ``name``."""
+    return f"<!-- {name}: written by `make readme` -->", f"<!-- end of {name} -->"
+
+
 def main(arguments=None):
     """Command line; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m tras.tables", description="Print the table paper against ours, or write it into the README.")
-    parser.add_argument("table", type=Path, help="figures/table.csv, made by the notebook 04_figures")
-    parser.add_argument("--readme", type=Path, help="write the table into this file, between its markers")
-    parser.add_argument("--check", type=Path, help="only say whether this file holds the table as it is now")
+    parser = argparse.ArgumentParser(prog="python -m tras.tables", description="Print the tables of README and docs, or write them there.")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join(TABLES)}; all of them if none is named")
+    parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the data (default: data)")
+    parser.add_argument("--figures", type=Path, default=Path("figures"), help="folder of the figures (default: figures)")
+    parser.add_argument("--pages", type=Path, default=Path(), help="folder of README.md and docs/ (default: this one)")
+    parser.add_argument("--write", action="store_true", help="write the tables into the pages, between their markers")
+    parser.add_argument("--check", action="store_true", help="say whether the pages hold the tables as they are now")
     options = parser.parse_args(arguments)
-    for path in filter(None, (options.table, options.readme, options.check)):
-        if not path.is_file():
-            print(f"{path} does not exist; `make all` makes the table.", file=sys.stderr)
-            return 2
-    table = read(options.table)
-    if options.readme:
-        new = into_readme(options.readme.read_text(encoding="utf-8"), table)
-        with replacing(options.readme) as temporary:
-            temporary.write_text(new, encoding="utf-8")
-    else:
-        print(text(table))
-    if options.check and markdown(table) not in options.check.read_text(encoding="utf-8"):
-        print(f"\n{options.check} holds another table; `make readme` writes this one into it.")
+    try:
+        for name in options.names or TABLES:
+            if name not in TABLES:
+                raise ValueError(f"there is no table {name!r}{did_you_mean(name, TABLES)}")
+            page, file, as_markdown, as_text = TABLES[name]
+            page, path = options.pages / page, (options.data if file.startswith("data/") else options.figures) / Path(file).name
+            if file and not path.is_file():
+                raise ValueError(f"{path} does not exist; `make all` makes it.")
+            rows = [read(path)] if file else []
+            content = as_markdown(*rows)
+            if options.write:
+                write_between(page, *markers(name), content)
+                continue
+            print(as_text(*rows) if as_text else content)
+            if options.check and content not in page.read_text(encoding="utf-8"):
+                print(f"\n{page} holds another table; `make readme` writes this one into it.")
+    except (OSError, ValueError, KeyError) as error:
+        print(error, file=sys.stderr)
+        return 2
     return 0
 
 

@@ -1,37 +1,36 @@
-"""Whether the artefacts of this machine are those of `reference/`: by their bytes, else by their numbers, and by how they look.
+"""Whether this machine's artefacts are those of `reference/`: by their bytes, else by their numbers and looks.
 
     python -m tras.verification ARTEFACT ...           # compare: `make verify`
     python -m tras.verification --bless ARTEFACT ...   # write reference/: `make bless`, and nothing else does
 
-Three levels. Bytes: SHA-256. Numbers, if the bytes differ: every column of a CSV table, every channel of a recording, every array of a
-model within `TOLERANCES`; whole numbers and text exactly. Looks: root mean square difference of small grey pictures. Only numbers
-outside tolerance, and files that are missing or cannot be read, make the exit status 1.
+Three levels. Bytes: SHA-256. Numbers, if the bytes differ: every column of a CSV table, every channel of a recording,
+every array of a model within `TOLERANCES`; whole numbers and text exactly. Looks: root mean square difference of small
+grey pictures. Only numbers outside tolerance, and files that are missing or cannot be read, make the exit status 1.
 """
 
 import argparse
 import collections
 import fnmatch
-import hashlib
 import sys
 from pathlib import Path
 
-from tras import artefacts as holding
+from tras import artefacts as copies
 from tras import provenance
 from tras.files import replacing
 
 # No NumPy at the top: with equal bytes there is nothing to calculate.
 
-# The first pattern that fits: |ours - reference| <= rtol |reference| + atol (largest |reference| of the column) + FLOOR. Measured with
-# other BLAS kernels, two threads, and without AVX in BLAS, NumPy and libm (docs/verify.md): rtol and FLOOR were enough; atol is for
-# numbers on their way through zero.
+# The first pattern that fits: |ours - reference| <= rtol |reference| + atol (largest |reference| in a column) + FLOOR.
+# Measured with other BLAS kernels, two threads, and without AVX in BLAS, NumPy and libm (docs/verify.md): rtol and
+# FLOOR were enough; atol is for numbers on their way through zero.
 TOLERANCES = [
     # pattern, rtol, atol, why
     ("*.nc", 1e-9, 1e-12, "a stable closed loop forgets rounding: 4e-15 of a channel's largest value"),
-    ("*.npz", 1e-6, 1e-10, "rounding times the condition number of a fit: 7e-13 of a matrix's largest entry, 1e-3 of its smallest"),
+    ("*.npz", 1e-6, 1e-10, "rounding times a fit's condition number: 7e-13 of a matrix's largest entry, 1e-3 of its smallest"),
     ("*.csv", 1e-6, 1e-10, "errors of models, the smallest as differences of nearly equal numbers: 1e-7 of a value"),
 ]
 FLOOR = 1e-12  # smaller numbers are rounding in every unit used here: residuals that would be zero in exact arithmetic
-LOOKS = 2.0  # RMS of grey levels, 0 to 255; measured 0.0, while a line moved by its own width gives more (the tests try it)
+LOOKS = 2.0  # RMS of grey levels, 0 to 255; measured 0.0; a line moved by its own width gives more (see the tests)
 
 MANIFEST = "SHA256SUMS"  # `sha256sum -c reference/SHA256SUMS` reads it
 FAILURES = ("DIFFERS", "MISSING", "UNREADABLE")
@@ -39,7 +38,7 @@ FAILURES = ("DIFFERS", "MISSING", "UNREADABLE")
 Finding = collections.namedtuple("Finding", "artefact verdict detail share", defaults=("", 0.0))
 
 
-# --- comparison ------------------------------------------------------------------------------------------------------------------
+# --- comparison -------------------------------------------------------------------------------------------------------
 
 
 def tolerance(artefact):
@@ -61,13 +60,13 @@ def compare_columns(ours, theirs, rtol, atol):
     -------
     share : float
         Above 1 outside tolerance; infinite for another shape, text, whole number, NaN or infinity.
-    place : str
+    detail : str
         The column, row and both values; empty if nothing differs.
     """
     if set(ours) != set(theirs):
         name = min(set(ours) ^ set(theirs))
         return float("inf"), f"column {name} is only in {'ours' if name in ours else 'the reference'}"
-    worst, place = 0.0, ""
+    worst, detail = 0.0, ""
     for name, (rows, reference) in theirs.items():
         length = len(reference) if rows is None else rows[-1] + 1
         if len(ours[name]) != length:
@@ -77,14 +76,14 @@ def compare_columns(ours, theirs, rtol, atol):
         i = int(shares.argmax())
         if shares[i] > worst:
             worst, row = float(shares[i]), i if rows is None else int(rows[i])
-            place = f"{name}, row {row + 1}: {_apart(values[i].item(), reference[i].item())}"
-            place += f", and {int((shares > 1).sum()) - 1} more in this column" if (shares > 1).sum() > 1 else ""
-    return worst, place
+            detail = f"{name}, row {row + 1}: {_apart(values[i].item(), reference[i].item())}"
+            detail += f", and {int((shares > 1).sum()) - 1} more in this column" if (shares > 1).sum() > 1 else ""
+    return worst, detail
 
 
 def _apart(value, reference):
-    found, expected = holding.text(value), holding.text(reference)
-    return f"{found} for {expected}" if found != expected else f"{expected}, off by {abs(value - reference):.1e}"
+    ours, theirs = copies.text(value), copies.text(reference)
+    return f"{ours} for {theirs}" if ours != theirs else f"{theirs}, off by {abs(value - reference):.1e}"
 
 
 def _shares(values, reference, rtol, atol):
@@ -111,38 +110,37 @@ def compare(artefact, expected, reference):
     if expected is None:
         return Finding(artefact, "MISSING", f"{reference} has no reference for it: make bless")
     try:
-        content = artefact.read_bytes()
-        if hashlib.sha256(content).hexdigest() == expected:
+        if provenance.checksum(artefact) == expected:
             return Finding(artefact, "same bytes")
-        if not content:
+        if not artefact.stat().st_size:
             raise ValueError("it is empty")
-        copy = holding.copy_of(artefact, reference)
+        copy = copies.copy_of(artefact, reference)
         if copy is None:
             return Finding(artefact, "other bytes", f"see {artefact.stem}.png and {artefact.stem}.csv")
         if not copy.is_file():
             return Finding(artefact, "MISSING", f"the reference has lost {copy}: git checkout {copy}")
-        return _compare_looks(artefact, copy) if artefact.suffix in holding.PICTURES else _compare_numbers(artefact, copy)
+        return _compare_looks(artefact, copy) if artefact.suffix in copies.PICTURES else _compare_numbers(artefact, copy)
     except (OSError, ValueError) as error:
         return Finding(artefact, "UNREADABLE", str(error))
 
 
 def _compare_numbers(artefact, copy):
-    share, place = compare_columns(holding.read_columns(artefact), holding.read_copy(copy), *tolerance(artefact))
+    share, detail = compare_columns(copies.read_columns(artefact), copies.read_copy(copy), *tolerance(artefact))
     if share > 1:
-        return Finding(artefact, "DIFFERS", place + (f", {share:.2g} times what is allowed" if share < float("inf") else ""), share)
-    return Finding(artefact, "numbers agree", f"furthest off: {place}, {share:.2g} of what is allowed" if place else "all equal", share)
+        return Finding(artefact, "DIFFERS", detail + (f", {share:.2g} times what is allowed" if share < float("inf") else ""), share)
+    return Finding(artefact, "numbers agree", f"furthest off: {detail}, {share:.2g} of what is allowed" if detail else "all equal", share)
 
 
 def _compare_looks(artefact, copy):
-    ours, theirs = holding.picture(artefact), holding.read_small(copy)
+    ours, theirs = copies.picture(artefact), copies.read_small(copy)
     if ours.shape != theirs.shape:
-        sizes = ["{1}x{0}".format(*(holding.SMALLER * size for size in picture.shape)) for picture in (ours, theirs)]
+        sizes = ["{1}x{0}".format(*(copies.SMALLER * size for size in picture.shape)) for picture in (ours, theirs)]
         return Finding(artefact, "looks different", f"{sizes[0]} pixels for {sizes[1]}")
     rms = float(((ours - theirs) ** 2).mean() ** 0.5)
     return Finding(artefact, "looks the same" if rms <= LOOKS else "looks different", f"RMS {rms:.2f} of 255")
 
 
-# --- the commands ----------------------------------------------------------------------------------------------------------------
+# --- the commands -----------------------------------------------------------------------------------------------------
 
 
 def read_manifest(reference):
@@ -176,7 +174,7 @@ def verify(artefacts, reference):
 
 
 def bless(artefacts, reference):
-    """Write the reference anew: copies, then the manifest; what no artefact needs any more is removed. The exit status."""
+    """Write the reference anew: copies, then the manifest; remove what no artefact needs any more. The exit status."""
     missing = [str(artefact) for artefact in artefacts if not artefact.is_file()]
     if missing:
         print(f"{', '.join(missing)} missing: make all first; {reference} is as it was.", file=sys.stderr)
@@ -185,18 +183,18 @@ def bless(artefacts, reference):
         old = read_manifest(reference)[1]
     except (OSError, ValueError):
         old = {}
-    sums = {str(artefact): hashlib.sha256(artefact.read_bytes()).hexdigest() for artefact in artefacts}
-    copies = {artefact: copy for artefact in artefacts if (copy := holding.copy_of(artefact, reference))}
+    sums = {str(artefact): provenance.checksum(artefact) for artefact in artefacts}
+    wanted = {artefact: copy for artefact in artefacts if (copy := copies.copy_of(artefact, reference))}
     try:
-        for artefact, copy in copies.items():
-            holding.write_copy(artefact, copy)
+        for artefact, copy in wanted.items():
+            copies.write_copy(artefact, copy)
         with replacing(reference / MANIFEST) as temporary:
             lines = [f"# {provenance.summary()}", *(f"{value}  {name}" for name, value in sums.items())]
             temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
     except (OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 1
-    for path in {path for path in reference.rglob("*") if path.is_file()} - {*copies.values(), reference / MANIFEST, reference / "README.md"}:
+    for path in {path for path in reference.rglob("*") if path.is_file()} - {*wanted.values(), reference / MANIFEST, reference / "README.md"}:
         path.unlink()
     size = sum(path.stat().st_size for path in reference.rglob("*") if path.is_file())
     changed = [name for name in sorted({*sums, *old}) if sums.get(name) != old.get(name)]

@@ -1,0 +1,56 @@
+"""Checks of arguments: a wrong number, seed or name is refused in one sentence that says what to give instead."""
+
+import difflib
+import math
+import numbers
+
+
+def number(name, value, low=-math.inf, high=math.inf, *, ends=True, give="", error=ValueError):
+    """Refuse what is not a finite number from ``low`` to ``high``, or between them with ``ends=False``; True is none.
+
+    The sentence says to ``give`` that instead, by default a number in this range; ``error`` is a kind of ValueError.
+
+    >>> number("level", 1.5, 0, 1, ends=False)
+    Traceback (most recent call last):
+        ...
+    ValueError: level is 1.5; give a number between 0 and 1.
+    """
+    sound = isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
+    if not (sound and (low <= value <= high if ends else low < value < high)):
+        raise error(f"{name} is {value!r}; give {give or 'a ' + _range('number', low, high, ends)}.")
+
+
+def whole_number(name, value, low=1, high=math.inf, *, give="", error=ValueError):
+    """Refuse what is not a whole number from ``low`` to ``high``; see `number`.
+
+    >>> whole_number("draws", True, 2)
+    Traceback (most recent call last):
+        ...
+    ValueError: draws is True; give a whole number, 2 or more.
+    """
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not low <= value <= high:
+        raise error(f"{name} is {value!r}; give {give or 'a ' + _range('whole number', low, high, True)}.")
+
+
+def seed(name, value, purpose):
+    """Refuse what is neither a numpy.random.Generator nor a seed; ``purpose`` says what can then be had again."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral) and not hasattr(value, "bit_generator"):
+        remedy = f"give a numpy.random.Generator or a seed, so that {purpose} can be had again"
+        raise ValueError(f"{name} is {value!r}; {remedy}.")
+
+
+def did_you_mean(name, known):
+    """The end of a sentence about a name that is not among those that are known.
+
+    >>> did_you_mean("sed", ["seed", "duration"]), did_you_mean("x", ["seed", "duration"])
+    (": did you mean 'seed'?", ': choose one of seed, duration.')
+    """
+    known = list(map(str, known))
+    close = difflib.get_close_matches(str(name), known, 1)
+    return f": did you mean {close[0]!r}?" if close else f": choose one of {', '.join(known) or 'none'}."
+
+
+def _range(kind, low, high, ends):
+    if high < math.inf:
+        return f"{kind} from {low:g} to {high:g}" if ends else f"{kind} between {low:g} and {high:g}"
+    return kind if low == -math.inf else f"{kind}, {low:g} or more" if ends else f"{kind} above {low:g}"
