@@ -67,7 +67,7 @@ def read(path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=s
     names = [name for name in source.names]
     chosen, guessed = assign(names, roles, source.units, source.dt)
     x, u, step, remarks = sampling.trajectories(
-        source.read(chosen), chosen, source.place, resample=resample, missing=missing, tolerance=tolerance
+        source.read(chosen), chosen, source.locate, resample=resample, missing=missing, tolerance=tolerance
     )
     if guessed and "dt" not in (roles or {}):
         guessed.append(f"the sampling time is {step:g} s")
@@ -155,7 +155,7 @@ def _own(source, resample, missing, tolerance):
     if "time" in source.names:
         given |= {"time": "time", "trial": "trajectory"}
     chosen, _ = assign(source.names, given, {})
-    x, u, dt, remarks = sampling.trajectories(source.read(chosen), chosen, source.place, resample=resample, missing=missing, tolerance=tolerance)
+    x, u, dt, remarks = sampling.trajectories(source.read(chosen), chosen, source.locate, resample=resample, missing=missing, tolerance=tolerance)
     attributes = dict(header["attributes"])
     if resample is None and "checksum" in header and checksum(header, zip(x, u)) != header["checksum"]:
         raise RecordingError("its numbers do not fit its checksum: it was damaged, or changed by another program; read it with roles if you trust it.")
