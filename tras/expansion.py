@@ -1,15 +1,18 @@
-"""Functions of a dictionary as sums of products in physical units: what `tras.formulas` selects from and writes."""
+"""Functions of a dictionary as sums of products in physical units, from which `tras.formulas` selects terms."""
 
 import numpy as np
 
 from tras import symbols
-from tras.export import identifiers
+from tras.export import identifier, identifiers
+
+_UFUNCS = {"+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "negative": np.negative}
 
 
 class Expansion:
     """Functions of the dictionary as sums ``{monomial: coefficient}`` in physical channels.
 
-    A monomial is a sorted tuple of (factor, power). Factors are numbered: the channels, then ``atoms``, symbols that are no polynomials.
+    A monomial is a sorted tuple of (factor, power). Factors are numbered: the channels, then ``atoms``, nodes that are
+    not polynomials. Atoms that have no expansion get a line of their own, named in ``definitions`` (by id).
     """
 
     def __init__(self, model, points):
@@ -19,19 +22,20 @@ class Expansion:
         self.channels = model._channels(inputs=True)
         self.names = identifiers(self.channels)
         states = self.names[: len(model._z_scale) if model.predictor == "vector_field" else len(model.state_names_)]
-        self.left = identifiers([f"d{name}_dt" if model.predictor == "vector_field" else f"{name}_next" for name in states], self.names)
+        pattern = "d{}_dt" if model.predictor == "vector_field" else "{}_next"
+        self.left = identifiers(map(pattern.format, states), self.names)
         self.scaled = identifiers([f"{name}_s" for name in self.names], [*self.names, *self.left])
-        self.atoms, self.own, self._sums, self._answers = [], {}, {}, {}
+        self.atoms, self.definitions, self._sums, self._expandable = [], {}, {}, {}
 
     def rows(self, matrix):
         """The sum of each row of the map, in physical units."""
-        self.nodes = nodes = symbols.functions(self.model.dictionary_)  # kept, since sums are remembered by identity
-        taken = [*self.names, *self.left, *self.scaled]
+        self.nodes = nodes = symbols.functions(self.model.dictionary_)  # an attribute, for sums are cached by id
+        identifiers_in_use = [*self.names, *self.left, *self.scaled]
         sums = []
         for node, name in zip(nodes, self.model.names_):
             if not self.expands(node):
-                self.own[id(node)] = identifiers([name], taken)[0]
-                taken.append(self.own[id(node)])
+                self.definitions[id(node)] = identifier(name, identifiers_in_use)
+                identifiers_in_use.append(self.definitions[id(node)])
                 sums.append({((self._factor(node), 1),): 1.0})
             else:
                 sums.append(self.sum(node))
@@ -46,9 +50,9 @@ class Expansion:
 
     def expands(self, node):
         """Whether the node is a sum of products of channels and functions of linear combinations of them."""
-        if id(node) not in self._answers:
-            self._answers[id(node)] = self._expands(node)
-        return self._answers[id(node)]
+        if id(node) not in self._expandable:
+            self._expandable[id(node)] = self._expands(node)
+        return self._expandable[id(node)]
 
     def _expands(self, node):
         if node.kind in ("z", "number"):
@@ -67,7 +71,7 @@ class Expansion:
         return len(self.names) + self.atoms.index(node)
 
     def sum(self, node):
-        """{monomial: coefficient} of a node that expands."""
+        """{monomial: coefficient} of a node that has an expansion."""
         if id(node) not in self._sums:
             self._sums[id(node)] = self._sum(node)
         return self._sums[id(node)]
@@ -86,25 +90,25 @@ class Expansion:
         second = self.sum(node.parts[1])
         if node.kind == "/":
             return {m: v / node.parts[1].parts[0] for m, v in first.items()}
-        found = dict(first) if node.kind in "+-" else {}
+        total = dict(first) if node.kind in "+-" else {}
         if node.kind in "+-":
             for m, v in second.items():
-                found[m] = found.get(m, 0.0) + (v if node.kind == "+" else -v)
-            return found
+                total[m] = total.get(m, 0.0) + (v if node.kind == "+" else -v)
+            return total
         for a, v in first.items():
             for b, w in second.items():
                 m = _product(a, b)
-                found[m] = found.get(m, 0.0) + v * w
-        return found
+                total[m] = total.get(m, 0.0) + v * w
+        return total
 
     def round(self, value):
-        """A number as it is written."""
+        """A number with the digits that are written."""
         return float(f"{value:.{self.digits}g}")
 
     def values(self, row):
-        """Each term of a row at the points, with all numbers as they are written: (terms, points)."""
-        known = {}
-        factors = [*self.points, *(self._value(atom, known) for atom in self.atoms)]
+        """Each term of a row at the points, with the digits that are written: (terms, points)."""
+        cache = {}
+        factors = [*self.points, *(self._value(atom, cache) for atom in self.atoms)]
         terms = np.empty((len(row), self.points.shape[1]))
         for term, (monomial, value) in zip(terms, row.items()):
             term[:] = self.round(value)
@@ -112,25 +116,25 @@ class Expansion:
                 term *= factors[factor] ** power
         return terms
 
-    def _value(self, node, known):
+    def _value(self, node, cache):
         """A node at the points."""
-        if id(node) not in known:
-            known[id(node)] = self._compute(node, known)
-        return known[id(node)]
+        if id(node) not in cache:
+            cache[id(node)] = self._compute(node, cache)
+        return cache[id(node)]
 
-    def _compute(self, node, known):
+    def _compute(self, node, cache):
         if node.kind == "number":
             return self.round(node.parts[0])
         if node.kind == "z":
             (i,) = node.parts
             return (self.points[i] - self.round(self.offsets[i])) / self.round(self.scales[i])
-        if node.kind in symbols.FUNCTIONS and id(node) not in self.own and self.expands(node):
-            argument = sum(self.round(v) * (self.points[m[0][0]] if m else 1.0) for m, v in self.sum(node.parts[0]).items())
-            return getattr(np, node.kind)(argument)
-        parts = [self._value(part, known) for part in node.parts]
+        if node.kind in symbols.FUNCTIONS and id(node) not in self.definitions and self.expands(node):
+            terms = self.sum(node.parts[0]).items()
+            return getattr(np, node.kind)(sum(self.round(v) * (self.points[m[0][0]] if m else 1.0) for m, v in terms))
+        parts = [self._value(part, cache) for part in node.parts]
         if node.kind in symbols.FUNCTIONS:
             return getattr(np, node.kind)(parts[0])
-        return {"+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "negative": np.negative}[node.kind](*parts)
+        return _UFUNCS[node.kind](*parts)
 
 
 def _product(a, b):
