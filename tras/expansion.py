@@ -1,5 +1,7 @@
 """Functions of a dictionary as sums of products in physical units, from which `tras.formulas` selects terms."""
 
+from functools import cache
+
 import numpy as np
 
 from tras import symbols
@@ -12,7 +14,7 @@ class Expansion:
     """Functions of the dictionary as sums ``{monomial: coefficient}`` in physical channels.
 
     A monomial is a sorted tuple of (factor, power). Factors are numbered: the channels, then ``atoms``, nodes that are
-    not polynomials. Atoms that have no expansion get a line of their own, named in ``definitions`` (by id).
+    not polynomials. Atoms that have no expansion get a line of their own, named in ``definitions``.
     """
 
     def __init__(self, model, points):
@@ -25,17 +27,18 @@ class Expansion:
         pattern = "d{}_dt" if model.predictor == "vector_field" else "{}_next"
         self.left = identifiers(map(pattern.format, states), self.names)
         self.scaled = identifiers([f"{name}_s" for name in self.names], [*self.names, *self.left])
-        self.atoms, self.definitions, self._sums, self._expandable = [], {}, {}, {}
+        self.atoms, self.definitions = [], {}
+        self.expands, self.sum = cache(self._expands), cache(self._sum)
 
     def rows(self, matrix):
         """The sum of each row of the map, in physical units."""
-        self.nodes = nodes = symbols.functions(self.model.dictionary_)  # an attribute, for sums are cached by id
+        nodes = symbols.functions(self.model.dictionary_)
         identifiers_in_use = [*self.names, *self.left, *self.scaled]
         sums = []
         for node, name in zip(nodes, self.model.names_):
             if not self.expands(node):
-                self.definitions[id(node)] = identifier(name, identifiers_in_use)
-                identifiers_in_use.append(self.definitions[id(node)])
+                self.definitions[node] = identifier(name, identifiers_in_use)
+                identifiers_in_use.append(self.definitions[node])
                 sums.append({((self._factor(node), 1),): 1.0})
             else:
                 sums.append(self.sum(node))
@@ -48,13 +51,8 @@ class Expansion:
             rows.append({monomial: value for monomial, value in row.items() if value})
         return rows
 
-    def expands(self, node):
-        """Whether the node is a sum of products of channels and functions of linear combinations of them."""
-        if id(node) not in self._expandable:
-            self._expandable[id(node)] = self._expands(node)
-        return self._expandable[id(node)]
-
     def _expands(self, node):
+        """Whether the node is a sum of products of channels and functions of linear combinations of them."""
         if node.kind in ("z", "number"):
             return True
         if node.kind == "/" and node.parts[1].kind != "number" or not all(self.expands(part) for part in node.parts):
@@ -70,13 +68,8 @@ class Expansion:
             self.atoms.append(node)
         return len(self.names) + self.atoms.index(node)
 
-    def sum(self, node):
-        """{monomial: coefficient} of a node that has an expansion."""
-        if id(node) not in self._sums:
-            self._sums[id(node)] = self._sum(node)
-        return self._sums[id(node)]
-
     def _sum(self, node):
+        """{monomial: coefficient} of a node that has an expansion."""
         if node.kind == "number":
             return {(): node.parts[0]}
         if node.kind == "z":
@@ -107,8 +100,8 @@ class Expansion:
 
     def values(self, row):
         """Each term of a row at the points, with the digits that are written: (terms, points)."""
-        cache = {}
-        factors = [*self.points, *(self._value(atom, cache) for atom in self.atoms)]
+        value_of = cache(lambda node: self._value(node, value_of))
+        factors = [*self.points, *map(value_of, self.atoms)]
         terms = np.empty((len(row), self.points.shape[1]))
         for term, (monomial, value) in zip(terms, row.items()):
             term[:] = self.round(value)
@@ -116,22 +109,17 @@ class Expansion:
                 term *= factors[factor] ** power
         return terms
 
-    def _value(self, node, cache):
-        """A node at the points."""
-        if id(node) not in cache:
-            cache[id(node)] = self._compute(node, cache)
-        return cache[id(node)]
-
-    def _compute(self, node, cache):
+    def _value(self, node, value_of):
+        """A node at the points; ``value_of`` gives its parts."""
         if node.kind == "number":
             return self.round(node.parts[0])
         if node.kind == "z":
             (i,) = node.parts
             return (self.points[i] - self.round(self.offsets[i])) / self.round(self.scales[i])
-        if node.kind in symbols.FUNCTIONS and id(node) not in self.definitions and self.expands(node):
+        if node.kind in symbols.FUNCTIONS and node not in self.definitions and self.expands(node):
             terms = self.sum(node.parts[0]).items()
             return getattr(np, node.kind)(sum(self.round(v) * (self.points[m[0][0]] if m else 1.0) for m, v in terms))
-        parts = [self._value(part, cache) for part in node.parts]
+        parts = [value_of(part) for part in node.parts]
         if node.kind in symbols.FUNCTIONS:
             return getattr(np, node.kind)(parts[0])
         return _UFUNCS[node.kind](*parts)

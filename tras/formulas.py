@@ -154,7 +154,7 @@ def _definitions(expansion, lines):
     """Channels that are scaled and nodes that get a line of their own, as far as the lines need them."""
     factors = {factor for _, row in lines for monomial in row for factor, _ in monomial}
     atoms = [node for k, node in enumerate(expansion.atoms, len(expansion.names)) if k in factors]
-    nodes = [node for node in atoms if id(node) in expansion.definitions]
+    nodes = [node for node in atoms if node in expansion.definitions]
     return sorted({i for node in nodes for i in symbols.channels_in(node)}), nodes
 
 
@@ -218,8 +218,8 @@ def _factor(expansion, factor, style):
     if factor < len(expansion.names):
         return style.name(expansion.names[factor])
     node = expansion.atoms[factor - len(expansion.names)]
-    if id(node) in expansion.definitions:
-        return style.name(expansion.definitions[id(node)])
+    if node in expansion.definitions:
+        return style.name(expansion.definitions[node])
     return style.function(node.kind, _sum(expansion, expansion.sum(node.parts[0]), style))
 
 
@@ -258,7 +258,7 @@ def _all_lines(expansion, lines, style):
         shift = f"{style.name(expansion.names[i])} {'-' if offset >= 0 else '+'} {style.number(abs(offset))}"
         shift = style.brackets(shift) if style is _Text else shift
         formulas.append((style.name(expansion.scaled[i]), style.fraction(shift, style.number(scale))))
-    formulas += [(style.name(expansion.definitions[id(node)]), _tree(expansion, node, style)) for node in nodes]
+    formulas += [(style.name(expansion.definitions[node]), _tree(expansion, node, style)) for node in nodes]
     return formulas + [(name, _sum(expansion, row, style)) for name, row in lines]
 
 

@@ -22,7 +22,7 @@ class Symbol:
         self.kind, self.parts, self.table = kind, parts, table
 
     def _of(self, kind, *parts):
-        key = (kind, *(id(part) if isinstance(part, Symbol) else part for part in parts))
+        key = (kind, *parts)
         if key not in self.table:
             self.table[key] = Symbol(kind, parts, self.table)
         return self.table[key]
@@ -132,9 +132,9 @@ def literal(value):
 
 
 def text(node, language, names=None):
-    """The expression in a language; ``names`` maps ids of nodes that are computed already to their variables."""
-    if names and id(node) in names:
-        return names[id(node)]
+    """The expression in a language; ``names`` maps nodes that are computed already to their variables."""
+    if names and node in names:
+        return names[node]
     write = lambda part: text(part, language, names)  # noqa: E731
     if node.kind == "number":
         return literal(node.parts[0])
@@ -157,7 +157,7 @@ def text(node, language, names=None):
 
 def rank(node, names=None):
     """1 for what needs brackets in a product, 2 for products, 3 for what never needs brackets."""
-    if names and id(node) in names:
+    if names and node in names:
         return 3
     if node.kind in ("+", "-", "negative") or node.kind == "number" and node.parts[0] < 0:
         return 1
@@ -165,12 +165,12 @@ def rank(node, names=None):
 
 
 def ordered(nodes):
-    """All nodes within ``nodes``, parts before wholes, and how often each is used, by id."""
+    """All nodes within ``nodes``, parts before wholes, and how often each is used."""
     uses, order = {}, []
 
     def visit(node):
-        uses[id(node)] = uses.get(id(node), 0) + 1
-        if uses[id(node)] == 1:
+        uses[node] = uses.get(node, 0) + 1
+        if uses[node] == 1:
             for part in node.parts:
                 if isinstance(part, Symbol):
                     visit(part)
@@ -190,19 +190,19 @@ def code(nodes, language):
     """Statements that compute all ``nodes``, each common part once: list of str."""
     order, uses = ordered(nodes)
     functions = [language.function.format(k + language.first) for k in range(len(nodes))]
-    results = {id(node): name for node, name in reversed(list(zip(nodes, functions)))}  # the first of equal nodes
+    results = {node: name for node, name in reversed(list(zip(nodes, functions)))}  # the first of equal nodes
     names, lines, temporaries = {}, [], 0
     for node in order:
         leaf = node.kind in ("number", "z")
-        if id(node) in results:
-            name = results[id(node)]
+        if node in results:
+            name = results[node]
             lines.append(f"{name} = {text(node, language, names)};")
-        elif uses[id(node)] > 1 and not leaf:
+        elif uses[node] > 1 and not leaf:
             temporaries += 1
             name = f"t{temporaries}"
             lines.append(f"{language.declaration}{name} = {text(node, language, names)};")
         else:
             continue
         if not leaf:
-            names[id(node)] = name
-    return lines + [f"{f} = {results[id(node)]};" for node, f in zip(nodes, functions) if results[id(node)] != f]
+            names[node] = name
+    return lines + [f"{f} = {results[node]};" for node, f in zip(nodes, functions) if results[node] != f]
