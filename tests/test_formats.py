@@ -451,7 +451,7 @@ class Rig:
         ({"x": __import__("scipy.sparse").sparse.csc_matrix(X), "t": TIME}, "variable 'x' holds a sparse matrix"),
         ({"name": "nothing here"}, "no signals in it: of 'name' none is"),
         ({}, "no signals in it"),
-        ({"x": np.zeros((3, 4, 5)), "t": TIME}, "'x' has the size 3 x 4 x 5; save a matrix .* a trial"),
+        ({"x": np.zeros((3, 4, 5)), "t": TIME}, "'x' has the size 3 x 4 x 5; save a matrix .* per trial"),
         ({"x": cell(X, X), "u": cell(U)}, "different numbers of trials: x 2, u 1"),
         ({"r": cell({"t": TIME, "x": X}, {"t": TIME, "y": X})}, "trial 2 has t, y1, y2 but the first has t, x1, x2"),
         ({"x": {"Time": TIME, "Data": X}, "u": {"Time": TIME + 1, "Data": U}}, "'u' has other times"),
