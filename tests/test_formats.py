@@ -458,6 +458,7 @@ class Rig:
         ({"x": X, "dt": 0.1, "Ts": 0.2}, "the sampling times in it are"),
         ({"x": X}, "no column is plainly time"),
         ({"a": {"a": {"a": {"a": {"a": {"a": {"a": {"a": {"a": {"a": X}}}}}}}}}}, "nested more than 8 deep"),
+        ({"x": {"Time": np.zeros((0, 1)), "Data": np.zeros((1, 1, 0))}}, "no rows of numbers"),
         ({"t": TIME[::-1], "x": X}, "row 2: time goes backwards"),
         ({"t": cell(TIME, TIME[::-1]), "x": cell(X, X)}, "trial 2, row 2: time goes backwards"),
     ],

@@ -17,8 +17,8 @@ class Expansion:
     not polynomials. Atoms that have no expansion get a line of their own, named in ``definitions``.
     """
 
-    def __init__(self, model, points):
-        self.model, self.points, self.digits = model, points, 17
+    def __init__(self, model):
+        self.model, self.points, self.digits = model, None, 17  # points: (channels, points), where `values` computes
         self.offsets = np.concatenate([model._delayed(model.x_offset_, model.u_offset_), model.u_offset_])
         self.scales = np.concatenate([model._z_scale, model.u_scale_])
         self.channels = model._channels(inputs=True)

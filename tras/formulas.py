@@ -63,18 +63,13 @@ def formulas(model, recording=None, *, tolerance=1e-3, latex=False):
     """
     model._fitted()
     if model.predictor == "lifted_linear":
-        raise ValueError(
-            "predictor is 'lifted_linear', which steps in the lifted space and has no map of the states alone; "
-            "use to_statespace()."
-        )
+        raise ValueError("predictor is 'lifted_linear', which steps in the lifted space; use to_statespace().")
     if not (isinstance(tolerance, (int, float)) and 0 <= tolerance < 1):
-        raise ValueError(
-            f"tolerance is {tolerance!r}; give the error to allow as a fraction, from 0 to below 1, for example 0.001."
-        )
-    points, where = _points(model, recording)
-    expansion = Expansion(model, points)
+        raise ValueError(f"tolerance is {tolerance!r}; give the error to allow as a fraction, from 0 to below 1.")
+    expansion = Expansion(model)
+    expansion.points, where = _points(expansion, recording)
     rows = expansion.rows(map_of(model).matrix)
-    selections, errors = _shortest(expansion, rows, points, tolerance, of_change=model.predictor == "one_step")
+    selections, errors = _shortest(expansion, rows, tolerance, of_change=model.predictor == "one_step")
     lines = [(name, {m: row[m] for m in terms}) for name, row, terms in zip(expansion.left, rows, selections)]
     size = f"root mean square of the {'change in a sample' if model.predictor == 'one_step' else 'rate'}"
     notes = _notes(model, expansion, where)
@@ -83,27 +78,28 @@ def formulas(model, recording=None, *, tolerance=1e-3, latex=False):
         f"that and the rounding change it by {error:.2g} of the {size}."
         for (name, terms), row, error in zip(lines, rows, errors)
     ]
-    return _latex(expansion, lines, notes) if latex else _text(expansion, lines, notes)
+    if latex:
+        return _latex(expansion, lines, notes)
+    text = [f"{name} = {formula}" for name, formula in _all_lines(expansion, lines, _Text)]
+    return "\n".join([*(f"# {note}" for note in notes), *text])
 
 
-def _points(model, recording):
+def _points(expansion, recording):
     """Where terms are weighed, (n' + m, points) in physical units, and what these points are."""
+    model = expansion.model
     if recording is not None:
         recording = model._same_channels(join(recording))
         x, u = (np.concatenate(part) for part in zip(*recording.delayed(model.delays, inputs=model._keeps_inputs)))
         samples = np.linspace(0, len(x) - 1, min(len(x), 2000)).astype(int)
         return np.hstack([x, u])[samples].T, "the recording"
-    rng, channels = np.random.default_rng(0), len(model._z_scale) + len(model.input_names_)
-    z = rng.uniform(-1, 1, (channels, 2000))
+    z = np.random.default_rng(0).uniform(-1, 1, (len(expansion.names), 2000))
     if hasattr(model, "hull_"):
         low, high = model.hull_.low, model.hull_.high
         z = model.hull_.centre + model.hull_.axes @ ((low + high) / 2 + z * (high - low) / 2)
-    offsets = np.concatenate([model._delayed(model.x_offset_, model.u_offset_), model.u_offset_])
-    scales = np.concatenate([model._z_scale, model.u_scale_])
-    return z * scales[:, None] + offsets[:, None], "random points in the box around the training data"
+    return z * expansion.scales[:, None] + expansion.offsets[:, None], "random points in the box around the training data"
 
 
-def _shortest(expansion, rows, points, tolerance, of_change):
+def _shortest(expansion, rows, tolerance, of_change):
     """The terms that each row needs, largest first, and the error of the others; sets the fewest digits that serve.
 
     Half of the tolerance is for terms, the rest for digits.
@@ -112,9 +108,9 @@ def _shortest(expansion, rows, points, tolerance, of_change):
     for i, row in enumerate(rows):
         terms = expansion.values(row)
         wholes.append(terms.sum(axis=0))
-        sizes.append(_rms(wholes[-1] - points[i] if of_change else wholes[-1]))
+        sizes.append(_rms(wholes[-1] - expansion.points[i] if of_change else wholes[-1]))
         order = np.argsort([-_rms(term) for term in terms], kind="stable")
-        omitted, drop = np.zeros(points.shape[1]), set()
+        omitted, drop = np.zeros(len(wholes[-1])), set()
         for k in order[::-1] if tolerance else ():  # smallest first; after one that does not fit another may
             if _rms(omitted + terms[k]) <= tolerance / 2 * sizes[-1]:
                 omitted += terms[k]
@@ -155,7 +151,7 @@ def _definitions(expansion, lines):
     factors = {factor for _, row in lines for monomial in row for factor, _ in monomial}
     atoms = [node for k, node in enumerate(expansion.atoms, len(expansion.names)) if k in factors]
     nodes = [node for node in atoms if node in expansion.definitions]
-    return sorted({i for node in nodes for i in symbols.channels_in(node)}), nodes
+    return sorted(node.parts[0] for node in symbols.ordered(nodes)[0] if node.kind == "z"), nodes
 
 
 class _Text:
@@ -260,11 +256,6 @@ def _all_lines(expansion, lines, style):
         formulas.append((style.name(expansion.scaled[i]), style.fraction(shift, style.number(scale))))
     formulas += [(style.name(expansion.definitions[node]), _tree(expansion, node, style)) for node in nodes]
     return formulas + [(name, _sum(expansion, row, style)) for name, row in lines]
-
-
-def _text(expansion, lines, notes):
-    formulas = _all_lines(expansion, lines, _Text)
-    return "\n".join([*(f"# {note}" for note in notes), *(f"{name} = {formula}" for name, formula in formulas)])
 
 
 def _latex(expansion, lines, notes):

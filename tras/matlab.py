@@ -159,9 +159,7 @@ def _columns(trial):
     for name, array in arrays.items():
         if array.ndim != 2:
             size = " x ".join(map(str, array.shape))
-            raise RecordingError(
-                f"{name!r} has the size {size}; save a matrix (samples x channels) per trial, in a cell array."
-            )
+            raise RecordingError(f"{name!r} has the size {size}; save a matrix (samples x channels) per trial.")
     vectors = {name: array for name, array in arrays.items() if 1 in array.shape}
     times = [array for name, array in vectors.items() if roles.guess_role(name.rpartition(".")[2]) == "time"]
     sizes = collections.Counter(size for array in arrays.values() for size in set(array.shape) if size > 1)

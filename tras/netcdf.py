@@ -31,7 +31,8 @@ def to_xarray(recording, attributes):
         "sampling_time": recording.dt,
         "attributes": json.dumps(attributes),
     }
-    plain = {key: _plain(value) for key, value in attributes.items() if _is_plain(key, value)}
+    plain = {key: value for key, value in attributes.items() if _is_plain(key, value)}
+    plain |= {key: int(value) for key, value in plain.items() if isinstance(value, bool)}
     return xarray.Dataset(variables, attrs={**plain, **attributes_of_format})
 
 
@@ -84,7 +85,3 @@ def _is_plain(key, value):
     if isinstance(value, str):
         return key.isidentifier() and value.isprintable() and value.isascii() and value != ""
     return key.isidentifier() and (isinstance(value, float) or (isinstance(value, int) and abs(value) < 2**63))
-
-
-def _plain(value):
-    return int(value) if isinstance(value, bool) else value

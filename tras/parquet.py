@@ -41,10 +41,7 @@ def open_table(path):
         units = {name: entry.get(b"units", entry.get(b"unit", b"")).decode("utf-8") for name, entry in metadata.items()}
     numbers = [int(entry[_ID]) for entry in metadata.values() if entry.get(_ID, b"").isdigit()]
     if header is None and any(0 <= number - _FIRST < MAX_COLUMNS for number in numbers):
-        raise RecordingError(
-            "it was written as a tras recording but has lost its own description: it is damaged; write it again with "
-            "Recording.write."
-        )
+        raise RecordingError("it is a tras recording that has lost its own description: it is damaged; write it again.")
 
     def read(roles):
         columns = [name for name in names if name in (roles.time, roles.trial, *roles.states, *roles.inputs)]

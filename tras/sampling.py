@@ -80,9 +80,7 @@ def _trials(table, roles, where):
     else:
         unknown = np.flatnonzero(label != label) if label.dtype.kind == "f" else np.flatnonzero(label == "")
         if unknown.size:
-            raise RecordingError(
-                f"{where(unknown[0])}: the trial's column {roles.trial!r} is empty; every row needs its trial."
-            )
+            raise RecordingError(f"{where(unknown[0])}: the trial's column {roles.trial!r} is empty; fill every row.")
         starts = np.flatnonzero(label[1:] != label[:-1]) + 1
         seen = set()
         for start in (0, *starts):
@@ -129,7 +127,7 @@ def _cut(pieces, roles, missing, remarks):
         single = f", and left out {short} single samples between" if short else ""
         remarks.append(f"{report}; cut the trajectories there: {len(complete)} are left{single}")
     if not complete:
-        why = "no two rows in succession are complete; nothing is left to read" if places else "it has no rows of numbers"
+        why = "no two rows in succession are complete; nothing is left" if places else "it has no rows of numbers"
         raise RecordingError(f"{why}.")
     return complete
 

@@ -135,24 +135,24 @@ def text(node, language, names=None):
     """The expression in a language; ``names`` maps nodes that are computed already to their variables."""
     if names and node in names:
         return names[node]
-    write = lambda part: text(part, language, names)  # noqa: E731
+
+    def write(part, least=0):
+        inside = text(part, language, names)
+        return f"({inside})" if rank(part, names) < least else inside
+
     if node.kind == "number":
         return literal(node.parts[0])
     if node.kind == "z":
         return language.channel.format(node.parts[0] + language.first)
     if node.kind in FUNCTIONS:
         return f"{node.kind}({write(node.parts[0])})"
-    sums = [rank(part, names) == 1 for part in node.parts]
     if node.kind == "negative":
-        return f"-({write(node.parts[0])})" if sums[0] else f"-{write(node.parts[0])}"
-    left, right = map(write, node.parts)
+        return f"-{write(node.parts[0], 2)}"
+    a, b = node.parts
     if node.kind in "+-":
-        right = f"({right})" if sums[1] else right
-        return f"{left} {node.kind} {right}".replace(" + -", " - ") if node.kind == "+" else f"{left} - {right}"
-    # Brackets keep the order in which the dictionary itself computes.
-    left = f"({left})" if sums[0] else left
-    right = f"({right})" if rank(node.parts[1], names) < 3 else right
-    return left + (language.times if node.kind == "*" else language.over) + right
+        return f"{write(a)} {node.kind} {write(b, 2)}"
+    # Brackets keep the order in which the dictionary computes.
+    return write(a, 2) + (language.times if node.kind == "*" else language.over) + write(b, 3)
 
 
 def rank(node, names=None):
@@ -179,11 +179,6 @@ def ordered(nodes):
     for node in nodes:
         visit(node)
     return order, uses
-
-
-def channels_in(node):
-    """The channels that an expression depends on."""
-    return {part.parts[0] for part in ordered([node])[0] if part.kind == "z"}
 
 
 def code(nodes, language):
