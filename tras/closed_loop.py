@@ -13,7 +13,8 @@ import numpy as np
 
 from tras.plant import LUMPED, STATE_NAMES, STATE_UNITS, TORQUE_NAMES, TORQUE_UNITS
 from tras.plant import PlantParameters, stepper, torque_limits
-from tras.recording import Recording, versions
+from tras.provenance import versions
+from tras.recording import Recording
 
 REFERENCE_NAMES = ("phi_ref", "psi_ref")
 REFERENCE_UNITS = ("rad", "rad")

@@ -22,7 +22,7 @@ _IN_BRACKETS = re.compile(r"(.*?\S)\s*[\[(]([^\[\]()]*)[\])]\s*")
 
 
 def open_table(path):
-    """The `Source` of a text table; numbers are read once the roles are known, so that columns of comments do no harm."""
+    """The `Source` of a text table. Numbers are read once the roles are known, so columns of comments do no harm."""
     if path.stat().st_size > MAX_TEXT:
         raise RecordingError(f"it has {path.stat().st_size} bytes, text is read up to {MAX_TEXT}; write .parquet instead, or cut it.")
     text = _decode(path.read_bytes())
@@ -53,14 +53,14 @@ def open_table(path):
 
 
 def write_table(frame, header, path):
-    """A pandas table as CSV that reads back to the last bit, ``header`` (a dict) in a comment above it."""
+    """Write a pandas table as CSV that reads back to the last bit, below ``header`` (a dict) in a comment."""
     with open(path, "w", encoding="utf-8", newline="") as file:
         file.write(f"{_MARK}{json.dumps(header)}\n")
         frame.to_csv(file, index=False, lineterminator="\n")  # as many digits as it takes
 
 
 def _decode(content):
-    """The text, whatever Excel has put before it."""
+    """The text without the byte order mark that Excel writes."""
     for mark, encoding in ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16")):
         if content.startswith(mark):
             break
@@ -108,7 +108,7 @@ def _header(text):
 
 
 def _separator(lines):
-    """The one that gives all lines the same number of cells, more than one; None for blanks."""
+    """The separator that gives all lines the same number of cells, more than one; None for blanks."""
     for candidate in (";", "\t", ",", "|", None):
         counts = {len(_cells(line, candidate)) for line in lines}
         if len(counts) == 1 and counts.pop() > 1:
@@ -127,7 +127,7 @@ def _cells(line, separator):
 
 
 def _rows(text, separator, start):
-    """Rows that are not blank or comments, and the line on which each one ends."""
+    """Rows that are neither blank nor comments, and the line on which each one ends."""
     lines = itertools.islice(io.StringIO(text, newline=""), start, None)
     rows, numbers = [], []
     reader = csv.reader(lines, delimiter=" ", skipinitialspace=True) if separator is None else csv.reader(lines, delimiter=separator, strict=True)
@@ -142,7 +142,7 @@ def _rows(text, separator, start):
 
 
 def _even(rows, lines, names, separator):
-    """Rows with as many cells as the header; a separator at the end of lines is forgiven."""
+    """Rows with as many cells as the header; a separator at the end of a line is allowed."""
     width, even = len(names), []
     for row, line in zip(rows, lines):
         if len(row) > width and not any(cell.strip() for cell in row[width:]):
@@ -156,7 +156,7 @@ def _even(rows, lines, names, separator):
 
 
 def _names_and_units(cells, rows, lines):
-    """Names, and units from brackets behind them or from a row of their own below them."""
+    """Names, and units from brackets after them or from a separate row below them."""
     names, units = [], {}
     matches = [_IN_BRACKETS.fullmatch(cell.strip()) for cell in cells]
     bare = [match[1].strip() if match and not match[2].strip().isdigit() else cell.strip() for cell, match in zip(cells, matches)]
@@ -193,7 +193,7 @@ def _is_date(cell):
 
 
 def _decimal_comma(columns, separator):
-    """Whether cells are written 0,5. Between commas the cells are quoted, and 1,000 could be a thousand: only 0,5 is plain."""
+    """Whether cells read 0,5. Between commas, cells are quoted and 1,000 could be a thousand: only 0,5 is clear."""
     cells = (cell.strip() for column in columns for cell in column)
     if separator == ",":
         return any(_DECIMAL_COMMA.fullmatch(cell) and re.match(r"[+-]?0?,", cell) for cell in cells if "," in cell)
@@ -223,7 +223,7 @@ def _cell(name, cell, line, comma):
 
 
 def _times(name, cells, lines, comma):
-    """Numbers, or seconds since the first of dates like 2026-02-28 12:00:00.010."""
+    """Numbers, or seconds since the first of dates such as 2026-02-28 12:00:00.010."""
     first = next((cell for cell in cells if cell.strip().lower() not in _MISSING), "")
     if _is_number(first) or not _is_date(first):
         return _numbers(name, cells, lines, comma)

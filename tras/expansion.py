@@ -1,37 +1,44 @@
-"""Functions of a dictionary as sums of products in physical units: what `tras.formulas` selects from and writes."""
+"""Functions of a dictionary as sums of products in physical units, from which `tras.formulas` selects terms."""
+
+from functools import cache
 
 import numpy as np
 
 from tras import symbols
-from tras.export import identifiers
+from tras.export import identifier, identifiers
+
+_UFUNCS = {"+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "negative": np.negative}
 
 
 class Expansion:
     """Functions of the dictionary as sums ``{monomial: coefficient}`` in physical channels.
 
-    A monomial is a sorted tuple of (factor, power). Factors are numbered: the channels, then ``atoms``, symbols that are no polynomials.
+    A monomial is a sorted tuple of (factor, power). Factors are numbered: the channels, then ``atoms``, nodes that are
+    not polynomials. Atoms that have no expansion get a line of their own, named in ``definitions``.
     """
 
-    def __init__(self, model, points):
-        self.model, self.points, self.digits = model, points, 17
+    def __init__(self, model):
+        self.model, self.points, self.digits = model, None, 17  # points: (channels, points), where `values` computes
         self.offsets = np.concatenate([model.channels_.z_offset, model.u_offset_])
         self.scales = np.concatenate([model.channels_.z_scale, model.u_scale_])
         self.channels = [*model.channels_.z_names, *model.input_names_]
         self.names = identifiers(self.channels)
         states = self.names[: len(model.channels_.z_scale) if model.predictor == "vector_field" else len(model.state_names_)]
-        self.left = identifiers([f"d{name}_dt" if model.predictor == "vector_field" else f"{name}_next" for name in states], self.names)
+        pattern = "d{}_dt" if model.predictor == "vector_field" else "{}_next"
+        self.left = identifiers(map(pattern.format, states), self.names)
         self.scaled = identifiers([f"{name}_s" for name in self.names], [*self.names, *self.left])
-        self.atoms, self.own, self._sums, self._answers = [], {}, {}, {}
+        self.atoms, self.definitions = [], {}
+        self.expands, self.sum = cache(self._expands), cache(self._sum)
 
     def rows(self, matrix):
         """The sum of each row of the map, in physical units."""
-        self.nodes = nodes = symbols.functions(self.model.dictionary_)  # kept, since sums are remembered by identity
-        taken = [*self.names, *self.left, *self.scaled]
+        nodes = symbols.functions(self.model.dictionary_)
+        identifiers_in_use = [*self.names, *self.left, *self.scaled]
         sums = []
         for node, name in zip(nodes, self.model.names_):
             if not self.expands(node):
-                self.own[id(node)] = identifiers([name], taken)[0]
-                taken.append(self.own[id(node)])
+                self.definitions[node] = identifier(name, identifiers_in_use)
+                identifiers_in_use.append(self.definitions[node])
                 sums.append({((self._factor(node), 1),): 1.0})
             else:
                 sums.append(self.sum(node))
@@ -44,13 +51,8 @@ class Expansion:
             rows.append({monomial: value for monomial, value in row.items() if value})
         return rows
 
-    def expands(self, node):
-        """Whether the node is a sum of products of channels and functions of linear combinations of them."""
-        if id(node) not in self._answers:
-            self._answers[id(node)] = self._expands(node)
-        return self._answers[id(node)]
-
     def _expands(self, node):
+        """Whether the node is a sum of products of channels and functions of linear combinations of them."""
         if node.kind in ("z", "number"):
             return True
         if node.kind == "/" and node.parts[1].kind != "number" or not all(self.expands(part) for part in node.parts):
@@ -66,13 +68,8 @@ class Expansion:
             self.atoms.append(node)
         return len(self.names) + self.atoms.index(node)
 
-    def sum(self, node):
-        """{monomial: coefficient} of a node that expands."""
-        if id(node) not in self._sums:
-            self._sums[id(node)] = self._sum(node)
-        return self._sums[id(node)]
-
     def _sum(self, node):
+        """{monomial: coefficient} of a node that has an expansion."""
         if node.kind == "number":
             return {(): node.parts[0]}
         if node.kind == "z":
@@ -86,25 +83,25 @@ class Expansion:
         second = self.sum(node.parts[1])
         if node.kind == "/":
             return {m: v / node.parts[1].parts[0] for m, v in first.items()}
-        found = dict(first) if node.kind in "+-" else {}
+        total = dict(first) if node.kind in "+-" else {}
         if node.kind in "+-":
             for m, v in second.items():
-                found[m] = found.get(m, 0.0) + (v if node.kind == "+" else -v)
-            return found
+                total[m] = total.get(m, 0.0) + (v if node.kind == "+" else -v)
+            return total
         for a, v in first.items():
             for b, w in second.items():
                 m = _product(a, b)
-                found[m] = found.get(m, 0.0) + v * w
-        return found
+                total[m] = total.get(m, 0.0) + v * w
+        return total
 
     def round(self, value):
-        """A number as it is written."""
+        """A number with the digits that are written."""
         return float(f"{value:.{self.digits}g}")
 
     def values(self, row):
-        """Each term of a row at the points, with all numbers as they are written: (terms, points)."""
-        known = {}
-        factors = [*self.points, *(self._value(atom, known) for atom in self.atoms)]
+        """Each term of a row at the points, with the digits that are written: (terms, points)."""
+        value_of = cache(lambda node: self._value(node, value_of))
+        factors = [*self.points, *map(value_of, self.atoms)]
         terms = np.empty((len(row), self.points.shape[1]))
         for term, (monomial, value) in zip(terms, row.items()):
             term[:] = self.round(value)
@@ -112,25 +109,20 @@ class Expansion:
                 term *= factors[factor] ** power
         return terms
 
-    def _value(self, node, known):
-        """A node at the points."""
-        if id(node) not in known:
-            known[id(node)] = self._compute(node, known)
-        return known[id(node)]
-
-    def _compute(self, node, known):
+    def _value(self, node, value_of):
+        """A node at the points; ``value_of`` gives its parts."""
         if node.kind == "number":
             return self.round(node.parts[0])
         if node.kind == "z":
             (i,) = node.parts
             return (self.points[i] - self.round(self.offsets[i])) / self.round(self.scales[i])
-        if node.kind in symbols.FUNCTIONS and id(node) not in self.own and self.expands(node):
-            argument = sum(self.round(v) * (self.points[m[0][0]] if m else 1.0) for m, v in self.sum(node.parts[0]).items())
-            return getattr(np, node.kind)(argument)
-        parts = [self._value(part, known) for part in node.parts]
+        if node.kind in symbols.FUNCTIONS and node not in self.definitions and self.expands(node):
+            terms = self.sum(node.parts[0]).items()
+            return getattr(np, node.kind)(sum(self.round(v) * (self.points[m[0][0]] if m else 1.0) for m, v in terms))
+        parts = [value_of(part) for part in node.parts]
         if node.kind in symbols.FUNCTIONS:
             return getattr(np, node.kind)(parts[0])
-        return {"+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "negative": np.negative}[node.kind](*parts)
+        return _UFUNCS[node.kind](*parts)
 
 
 def _product(a, b):

@@ -1,7 +1,7 @@
-"""Models for other programs: what MATLAB, C and formulas share (names, origin, the map in one place), and python-control.
+"""Models for other programs: what MATLAB, C and formulas share (names, origin, the map), and python-control.
 
-`to_c`, `to_matlab` and `formulas` are of `tras.export_c`, `tras.export_mat` and `tras.formulas`. Nothing in the files tells the time: the same
-model, the same bytes.
+`to_c`, `to_matlab` and `formulas` are of `tras.export_c`, `tras.export_mat` and `tras.formulas`. No file contains the
+time of writing: the same model gives the same bytes.
 """
 
 import importlib
@@ -14,18 +14,18 @@ import numpy as np
 
 import tras
 
-# Words that no function or variable may be called in C99, MATLAB or Octave, beside Python's own.
-_TAKEN = {
+# Names that no function or variable may have in Python, C99, MATLAB or Octave.
+_RESERVED_WORDS = {
     *keyword.kwlist,
-    *"auto break case char const continue default do double else enum extern float for goto if inline int long register restrict return".split(),
-    *"short signed sizeof static struct switch typedef union unsigned void volatile while main".split(),
-    *"catch classdef elseif end endfunction endif function global otherwise parfor persistent spmd until".split(),
-    *"exp log sin cos tan sinh cosh tanh sqrt pi e i j".split(),
+    *"auto break case char const continue default do double else enum extern float for goto if inline int long".split(),
+    *"register restrict return short signed sizeof static struct switch typedef union unsigned void volatile".split(),
+    *"while main catch classdef elseif end endfunction endif function global otherwise parfor persistent".split(),
+    *"spmd until exp log sin cos tan sinh cosh tanh sqrt pi e i j".split(),
 }
 
 
 class StateSpace(NamedTuple):
-    """``z[k+1] = A z[k] + B u[k]``, ``x[k] = C z[k] + D u[k]``, sampled every ``dt`` seconds. See `to_statespace`."""
+    """``z[k+1] = A z[k] + B u[k]``, ``x[k] = C z[k] + D u[k]``, sampled every ``dt`` seconds; see `to_statespace`."""
 
     A: np.ndarray
     B: np.ndarray
@@ -48,48 +48,49 @@ def map_of(model):
     return step._replace(matrix=step.matrix[:rows], outward=None if step.hull is None else step.outward[:rows])
 
 
-def identifier(name, taken=()):
-    """``name`` as C, MATLAB and Python take it for a variable: ``"3 phi[-1]"`` becomes ``"x3_phi_1"``; none that is ``taken``.
+def identifier(name, avoid=()):
+    """``name`` as a variable of C, MATLAB and Python, and none to ``avoid``: ``"3 phi[-1]"`` becomes ``"x3_phi_1"``.
 
     Examples
     --------
-    >>> identifier("phi[-1]"), identifier("while"), identifier("phi", taken={"phi"})
+    >>> identifier("phi[-1]"), identifier("while"), identifier("phi", avoid={"phi"})
     ('phi_1', 'while_', 'phi_2')
     """
     word = re.sub(r"\W+", "_", str(name), flags=re.ASCII).strip("_")[:40] or "x"
     word = f"x{word}" if word[0].isdigit() else word
-    word = f"{word}_" if word in _TAKEN else word
-    found, k = word, 2
-    while found in taken:
-        found, k = f"{word}_{k}", k + 1
-    return found
+    word = f"{word}_" if word in _RESERVED_WORDS else word
+    candidate, k = word, 2
+    while candidate in avoid:
+        candidate, k = f"{word}_{k}", k + 1
+    return candidate
 
 
-def identifiers(names, taken=()):
-    """An `identifier` for each name, no two alike and none ``taken``."""
-    found = []
+def identifiers(names, avoid=()):
+    """An `identifier` for each name, all different and none to ``avoid``."""
+    words = []
     for name in names:
-        found.append(identifier(name, {*found, *taken}))
-    return found
+        words.append(identifier(name, {*words, *avoid}))
+    return words
 
 
 def file_and_name(path, suffix):
-    """The path and the name of the functions in the file."""
+    """The path, and the name that the functions in the file begin with."""
     path = Path(path)
     if path.suffix != suffix:
-        raise ValueError(f"path {path} ends in {path.suffix!r}; give one that ends in {suffix}, for example model{suffix}.")
+        raise ValueError(f"path {path} ends in {path.suffix!r}; give one that ends in {suffix}, such as model{suffix}.")
     return path, identifier(path.stem)
 
 
 def origin(model, path=None, name=None):
-    """Where a file comes from, and what its numbers mean: lines of text."""
+    """Lines of text: where a file comes from, and what its numbers mean."""
     units = [unit or "unit unknown" for unit in (*model.state_units_, *model.input_units_)]
     channels = [f"{channel} ({unit})" for channel, unit in zip((*model.state_names_, *model.input_names_), units)]
     n = len(model.state_names_)
     lines = [
         f"A model identified by extended dynamic mode decomposition; written by tras {tras.__version__}.",
         f"predictor {model.predictor}, dictionary {model.dictionary_!r}, N = {len(model.names_)}",
-        f"sampling time {model.dt_!r} s, delays {model.delays}, regularization {model.regularization} of strength {model.strength_!r}",
+        f"sampling time {model.dt_!r} s, delays {model.delays}, "
+        f"regularization {model.regularization} of strength {model.strength_!r}",
         f"states: {', '.join(channels[:n])}",
         f"inputs: {', '.join(channels[n:]) or 'none'}",
     ]
@@ -99,28 +100,28 @@ def origin(model, path=None, name=None):
 
 
 def state_vector(model):
-    """What the vector x holds, a line each: ``x[0]: phi (rad)``, from 0; delayed samples behind the newest."""
+    """What the vector x holds, one line per entry: the newest sample, then the delayed ones."""
     names = model.channels_.z_names
     units = list(model.state_units_) * (model.delays + 1) + list(model.input_units_) * model.delays
     return [f"{name} ({unit})" if unit else name for name, unit in zip(names, units)]
 
 
 def input_vector(model):
-    """The same of the vector u."""
+    """What the vector u holds, one line per entry."""
     return [f"{name} ({unit})" if unit else name for name, unit in zip(model.input_names_, model.input_units_)]
 
 
 def to_statespace(model):
     """A ``lifted_linear`` model as ``z[k+1] = A z[k] + B u[k]``, ``x[k] = C z[k] + D u[k]``.
 
-    The states z are the liftings, of scaled channels; u and x are in physical units. The constant function is the first state: its eigenvalue is
-    one, and what the offsets of the channels ask for stands in its column. So a run starts at ``model.lift(x0)``, never at zero. With delays x0 is
-    the delayed state, newest sample first, and x the newest sample.
+    The states z are the liftings of scaled channels; u and x are in physical units. The constant function is the first
+    state: its eigenvalue is one, and its column holds the offsets of the channels. So a run starts at
+    ``model.lift(x0)``, never at zero. With delays, x0 is the delayed state (newest sample first), x the newest sample.
 
     Returns
     -------
     control.StateSpace or StateSpace
-        The first if python-control is installed, with the names of the channels; otherwise a named tuple ``(A, B, C, D, dt)``.
+        With python-control the former, with the names of the channels; otherwise a named tuple ``(A, B, C, D, dt)``.
 
     Raises
     ------
@@ -138,7 +139,9 @@ def to_statespace(model):
     """
     model.require_fitted()
     if model.predictor != "lifted_linear":
-        raise ValueError(f"predictor is {model.predictor!r}, which is no linear system; fit with predictor='lifted_linear'.")
+        raise ValueError(
+            f"predictor is {model.predictor!r}, which is no linear system; fit with predictor='lifted_linear'."
+        )
     n, m = len(model.state_names_), len(model.input_names_)
     A, B = model.koopman_matrix.T.copy(), model.B_ / model.u_scale_
     A[:, 0] -= B @ model.u_offset_  # the first function is the constant

@@ -1,4 +1,4 @@
-"""The one-step predictor as C99: a header and a source, no dependency but the mathematical library, nothing allocated, no state kept."""
+"""The one-step predictor as C99: a header and a source that need only libm, allocate nothing and keep no state."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from tras.export import file_and_name, input_vector, map_of, origin, state_vecto
 from tras.files import replacing
 
 _SHIFTS = """\
-    /* What is known of the earlier samples is shifted, newest first. */
+    /* Shift the earlier samples, newest first. */
     for (int i = {last}; i >= {n}; i--) x_next[i] = x[i - {n}];
 """
 _SHIFTS_OF_INPUTS = """\
@@ -107,10 +107,10 @@ _UNUSED = "    (void)u;\n"
 def to_c(model, path):
     """Write a model as C99: ``path``, which ends in .c, and a header of the same name.
 
-    ``void NAME_step(const double *x, const double *u, double *x_next)`` predicts one sample, in physical units, beyond the training data too; NAME is
-    the file's. With delays x holds the newest sample, then the earlier ones, then, but for ``vector_field``, the earlier inputs, as the header
-    lists. With ``vector_field`` there is ``NAME_field``; with ``lifted_linear`` ``NAME_lift`` makes a lifting z of x, ``NAME_step`` works on z, and
-    ``NAME_read`` reads x.
+    ``void NAME_step(const double *x, const double *u, double *x_next)`` predicts one sample in physical units, also
+    beyond the training data; NAME is the file's. With delays, x holds the newest sample, then the earlier ones, then
+    (except with ``vector_field``) the earlier inputs, as the header lists. ``vector_field`` adds ``NAME_field``. With
+    ``lifted_linear``, ``NAME_lift`` lifts x to z, ``NAME_step`` works on z, and ``NAME_read`` reads x from z.
 
     Returns
     -------
@@ -119,7 +119,7 @@ def to_c(model, path):
     Raises
     ------
     ValueError
-        If the model is not fitted, the path does not end in .c, or the dictionary does what has no formula.
+        If the model is not fitted, the path does not end in .c, or the dictionary cannot be written as formulas.
 
     Examples
     --------
@@ -132,7 +132,8 @@ def to_c(model, path):
     model.require_fitted()
     path, name = file_and_name(path, ".c")
     notes = [_comment(line) for line in origin(model, path, name)]
-    files = {path.with_suffix(".h"): _header(model, name), path: f'#include "{path.stem}.h"\n\n#include <math.h>\n\n{_source(model, name)}'}
+    source = f'#include "{path.stem}.h"\n\n#include <math.h>\n\n{_source(model, name)}'
+    files = {path.with_suffix(".h"): _header(model, name), path: source}
     for file, contents in files.items():
         with replacing(file) as temporary:
             temporary.write_text("\n".join(["/*", *notes, " */", contents]), encoding="utf-8", newline="\n")
@@ -145,13 +146,13 @@ def _header(model, name):
     lines = [f"#ifndef {guard}", f"#define {guard}", "", "/*", " Vectors, in physical units:"]
     lines += [_comment(f"x[{i}]: {channel}") for i, channel in enumerate(x)]
     lines += [_comment(f"u[{i}]: {channel}") for i, channel in enumerate(input_vector(model))]
-    lines += [" No input: u is not looked at and may be NULL."] * (m == 0) + [" */"]
+    lines += [" No input: u is not read and may be NULL."] * (m == 0) + [" */"]
     lines += [f"#define {name.upper()}_STATES {len(x)}", f"#define {name.upper()}_INPUTS {m}"]
     lines += [f"#define {name.upper()}_LIFTED {len(model.names_)}"] * linear
     lines += ["", "#ifdef __cplusplus", 'extern "C" {', "#endif", ""]
     if linear:
         lines += [
-            "/* Lift a state once, then step in the lifted space, where the system is linear; read the newest states x from z. */",
+            "/* Lift a state once, step in the lifted space, where the system is linear, and read x from z. */",
             f"void {name}_lift(const double *x, double *z);",
             f"/* One sample ({model.dt_!r} s) later, the input held; z_next may be z. */",
             f"void {name}_step(const double *z, const double *u, double *z_next);",
@@ -192,7 +193,8 @@ def _source(model, name):
 def _lift(model):
     lines = symbols.code(symbols.functions(model.dictionary_), symbols.C)
     names = [_comment(f"psi[{i}]: {function}") for i, function in enumerate(model.names_)]
-    return "\n".join(["/*", *names, " */", "static void lift(const double *z, double *psi)", "{", *(f"    {line}" for line in lines), "}", "", ""])
+    head = ["/*", *names, " */", "static void lift(const double *z, double *psi)", "{"]
+    return "\n".join([*head, *(f"    {line}" for line in lines), "}", "", ""])
 
 
 def _map(model, hull):
@@ -206,7 +208,7 @@ def _map(model, hull):
 
 
 def _steps(model, name):
-    """Scaling, the step, and the field."""
+    """The functions of scaling, of one step, and of the field."""
     n, m, d = len(model.state_names_), len(model.input_names_), model.delays
     scale = _SCALE.format(inputs=_SCALE_INPUTS if m else _UNUSED)
     field = model.predictor == "vector_field"
@@ -231,7 +233,7 @@ def _linear(model, name):
 
 
 def _array(name, values):
-    """A constant array, a row to a line."""
+    """A constant array, one row per line."""
     values = np.asarray(values, dtype=float)
     size = "".join(f"[{k}]" for k in values.shape)
     if values.ndim == 1:
@@ -245,5 +247,5 @@ def _row(values):
 
 
 def _comment(line):
-    """A line inside a comment, which it must neither end nor seem to open."""
+    """A line inside a comment, which it must neither close nor seem to open."""
     return " " + line.replace("*/", "* /").replace("/*", "/ *")

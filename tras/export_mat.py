@@ -1,4 +1,4 @@
-"""The model for MATLAB and GNU Octave: its arrays in a .mat file, and functions (.m) beside it that read them and evaluate the model."""
+"""The model for MATLAB and GNU Octave: a .mat file with its arrays, and functions (.m) that evaluate the model."""
 
 import io
 
@@ -19,7 +19,7 @@ _LOAD = """\
 _STEP = """\
 function x_next = {name}_step(x, u)
 {notes}
-% x_next = {name}_step(x, u): the states one sample ({dt} s) later, in physical units, u held; a column a point.
+% x_next = {name}_step(x, u): the states one sample ({dt} s) later, in physical units, u held; one point per column.
 {vectors}
 {load}{body}end
 """
@@ -42,13 +42,13 @@ _ONE_STEP = """\
 _FIELD = """\
 function rates = {name}_field(x, u)
 {notes}
-% rates = {name}_field(x, u): dx/dt in physical units; a column a point.
+% rates = {name}_field(x, u): dx/dt in physical units; one point per column.
 {vectors}
 {load}    rates = map(model, [(x - model.z_offset) ./ model.z_scale; (u - model.u_offset) ./ model.u_scale]) .* model.z_scale;
 end
 """
 _HULL = """\
-    % Beyond the box around the training data, along their principal axes, the model goes on linearly.
+    % Beyond the box around the training data, along their principal axes, the model is extended linearly.
     t = model.hull.axes' * (z - model.hull.centre);
     t = t - min(max(t, model.hull.low), model.hull.high);
     nearest = z - model.hull.axes * t;
@@ -68,7 +68,7 @@ _LINEAR = {
     "lift": """\
 function z = {name}_lift(x)
 {notes}
-% z = {name}_lift(x): lifts states in physical units, a column a point; then {name}_step goes on from z.
+% z = {name}_lift(x): lifts states in physical units, one point per column; {name}_step continues from z.
 {vectors}
 {load}    z = lift((x - model.z_offset) ./ model.z_scale);
 end
@@ -76,7 +76,7 @@ end
     "step": """\
 function z_next = {name}_step(z, u)
 {notes}
-% z_next = {name}_step(z, u): liftings one sample ({dt} s) later, u in physical units and held. z of {name}_lift, states of {name}_read.
+% z_next = {name}_step(z, u): liftings one sample ({dt} s) later, u in physical units and held; z from {name}_lift.
 {vectors}
 {load}    z_next = model.A * z + model.B * ((u - model.u_offset) ./ model.u_scale);
 end
@@ -84,7 +84,7 @@ end
     "read": """\
 function x = {name}_read(z)
 {notes}
-% x = {name}_read(z): the (newest) states in liftings, in physical units.
+% x = {name}_read(z): the (newest) states of liftings, in physical units.
 {load}    x = z(2:{after}, :) .* model.x_scale + model.x_offset;
 end
 """,
@@ -94,11 +94,13 @@ end
 def to_matlab(model, path):
     """Write a model for MATLAB and GNU Octave: arrays to ``path``, which ends in .mat, and functions beside it.
 
-    ``x_next = NAME_step(x, u)`` predicts one sample, in physical units, a column a point, beyond the training data too; NAME is the file's. With
-    delays x holds the newest sample, then the earlier ones, then, but for ``vector_field``, the earlier inputs, as the comments list. With
-    ``vector_field`` there is ``NAME_field``; with ``lifted_linear`` ``z = NAME_lift(x)``, then ``z = NAME_step(z, u)``, and ``x = NAME_read(z)``.
+    ``x_next = NAME_step(x, u)`` predicts one sample in physical units, one point per column, also beyond the training
+    data; NAME is the file's. With delays, x holds the newest sample, then the earlier ones, then (except with
+    ``vector_field``) the earlier inputs, as the comments list. ``vector_field`` adds ``NAME_field``. With
+    ``lifted_linear``, call ``z = NAME_lift(x)``, then ``z = NAME_step(z, u)``, and ``x = NAME_read(z)``.
 
-    The .mat file (version 5) holds plain arrays, structs and cells: K, A, W or B, offsets and scales, names, units, dt, the hull, the dictionary.
+    The .mat file (version 5) holds plain arrays, structs and cells: K, A, W or B, offsets and scales, names, units, dt,
+    the hull, the dictionary.
 
     Returns
     -------
@@ -107,7 +109,7 @@ def to_matlab(model, path):
     Raises
     ------
     ValueError
-        If the model is not fitted, the path does not end in .mat, or the dictionary does what has no formula.
+        If the model is not fitted, the path does not end in .mat, or the dictionary cannot be written as formulas.
 
     Examples
     --------
@@ -120,10 +122,10 @@ def to_matlab(model, path):
     model.require_fitted()
     path, name = file_and_name(path, ".mat")
     notes, contents = origin(model, path, name), io.BytesIO()
-    functions = _functions(model, path, name, notes)  # refuses what it cannot write before anything is written
+    functions = _functions(model, path, name, notes)  # first: it may refuse the dictionary
     savemat(contents, _arrays(model, notes), long_field_names=True, oned_as="column")
     whole = contents.getvalue()
-    # The first 116 bytes are text for a reader, in which SciPy tells the time.
+    # SciPy writes the time into the first 116 bytes, which are free text.
     head = f"MATLAB 5.0 MAT-file, tras {tras.__version__}".encode().ljust(116)
     with replacing(path) as temporary:
         temporary.write_bytes(head + whole[116:])
@@ -134,7 +136,7 @@ def to_matlab(model, path):
 
 
 def _arrays(model, notes):
-    """What the .mat file holds; vectors are columns."""
+    """What the .mat file holds, vectors as columns."""
     linear = model.predictor == "lifted_linear"
     values = {
         "origin": _cells(notes), "predictor": model.predictor, "dt": float(model.dt_), "delays": float(model.delays),
@@ -163,21 +165,21 @@ def _cells(words):
 
 
 def _described(dictionary):
-    """A dictionary as a struct: its name, its parameters as far as they are numbers and words, and what it learnt."""
-    known = {"name": type(dictionary).__name__}
+    """A dictionary as a struct: its name, those parameters that are numbers or words, and what it learnt."""
+    struct = {"name": type(dictionary).__name__}
     for key, value in dictionary.get_params(deep=False).items():
         if isinstance(value, (bool, int, float, str, np.number)):
-            known[key] = float(value) if not isinstance(value, str) else value
+            struct[key] = float(value) if not isinstance(value, str) else value
     for key, value in vars(dictionary).items():
         if key == "parts_":
             parts = np.empty((len(value), 1), dtype=object)
             parts[:, 0] = [_described(part) for part in value]
-            known["parts"] = parts
+            struct["parts"] = parts
         elif key == "kept_":
-            known["kept"] = value + 1.0  # counted from 1 there
+            struct["kept"] = value + 1.0  # MATLAB counts from 1
         elif key.endswith("_") and isinstance(value, (np.ndarray, float, int)):
-            known[f"learnt_{key[:-1]}"] = np.asarray(value, dtype=float)
-    return known
+            struct[f"learnt_{key[:-1]}"] = np.asarray(value, dtype=float)
+    return struct
 
 
 def _functions(model, path, name, notes):
@@ -189,24 +191,27 @@ def _functions(model, path, name, notes):
     lift = _LIFT.format(N=len(model.names_), lines="\n".join(f"    {line}" for line in lines))
     at = lambda which: path.with_name(f"{name}_{which}.m")  # noqa: E731
     if model.predictor == "lifted_linear":
-        return {at(which): template.format(**words) + (lift if which == "lift" else "") for which, template in _LINEAR.items()}
+        files = {at(which): template.format(**words) for which, template in _LINEAR.items()}
+        return {**files, at("lift"): files[at("lift")] + lift}
     map_ = _MAP.format(body=_HULL if model.hull_ is not None else "    result = model.map * lift(z);\n")
     field = model.predictor == "vector_field"
     body = _RUNGE_KUTTA.format(**words) if field else _ONE_STEP
-    shifted = [f"x(1:{n * d}, :)"] * (d > 0) + ["u"] * model.channels_.delayed_inputs
+    history = [f"x(1:{n * d}, :)"] * (d > 0) + ["u"] * model.channels_.delayed_inputs
     if model.channels_.delayed_inputs and d > 1:
         past = n * (d + 1)
-        shifted.append(f"x({past + 1}:{past + (d - 1) * len(model.input_names_)}, :)")
-    body += f"    x_next = [{'; '.join(['now', *shifted])}];\n" if shifted else "    x_next = now;\n"
+        history.append(f"x({past + 1}:{past + (d - 1) * len(model.input_names_)}, :)")
+    body += f"    x_next = [{'; '.join(['now', *history])}];\n" if history else "    x_next = now;\n"
     step = _STEP.format(body=body, **words)
-    return {at("field"): _FIELD.format(**words) + map_ + lift, at("step"): step} if field else {at("step"): step + map_ + lift}
+    if field:
+        return {at("field"): _FIELD.format(**words) + map_ + lift, at("step"): step}
+    return {at("step"): step + map_ + lift}
 
 
 def _vectors(model):
-    """What the vectors hold."""
+    """Comments on what the vectors hold."""
     lines = [f"x({i + 1}): {channel}" for i, channel in enumerate(state_vector(model))]
-    lines += [f"u({i + 1}): {channel}" for i, channel in enumerate(input_vector(model))] or ["u: no inputs; zeros(0, columns of x)"]
-    return _comments(lines)
+    inputs = [f"u({i + 1}): {channel}" for i, channel in enumerate(input_vector(model))]
+    return _comments(lines + (inputs or ["u: no inputs; zeros(0, columns of x)"]))
 
 
 def _comments(lines):

@@ -1,9 +1,9 @@
-"""Recordings in files of many kinds: .nc, .csv, .parquet, .mat. Nothing in a file is executed, and no pickle is read.
+"""Recordings as files: .nc, .csv, .parquet, .mat. The readers execute nothing in a file and read no pickle.
 
 Limits (`tras.source`): 1e8 values, 10 000 columns, 256 MiB of text, 4 GiB of other files, structs and cells 8 deep.
 
-What `write` has written says itself which columns are what; in all but .csv a checksum of names, units, numbers and sampling time tells
-when a file is damaged. A CSV has none, for people may edit it: a digit changed there cannot be noticed.
+A file of `write` states the roles of its columns. All but .csv also hold a checksum of names, units, numbers and
+sampling time, which reveals damage. A CSV has none, because people may edit it: nobody notices a changed digit there.
 """
 
 import hashlib
@@ -22,7 +22,7 @@ _LABELS = ("state_names", "state_units", "input_names", "input_units")
 
 
 def write(recording, path, attributes):
-    """See `tras.Recording.write`; ``attributes`` are the recording's, as JSON holds them."""
+    """See `tras.Recording.write`; ``attributes`` are the recording's, in the types of JSON."""
     path = known(path)
     labels = {key: getattr(recording, key) for key in _LABELS}
     header = _header(recording.dt, labels, attributes)
@@ -30,7 +30,7 @@ def write(recording, path, attributes):
         header["checksum"] = checksum(header, recording)
     if path.suffix == ".nc":
         dataset = netcdf.to_xarray(recording, attributes).assign_attrs(checksum=header["checksum"])
-        content = dataset.to_netcdf(engine="h5netcdf")  # in memory: on a full disk HDF5 cannot even close a file
+        content = dataset.to_netcdf(engine="h5netcdf")  # in memory: on a full disk HDF5 cannot close a file
         with replacing(path) as temporary:
             temporary.write_bytes(content)
         return
@@ -66,7 +66,7 @@ def read(path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=s
     names = [name for name in source.names]
     chosen, guessed = assign(names, roles, source.units, source.dt)
     x, u, step, remarks = sampling.trajectories(
-        source.read(chosen), chosen, source.place, resample=resample, missing=missing, tolerance=tolerance
+        source.read(chosen), chosen, source.locate, resample=resample, missing=missing, tolerance=tolerance
     )
     if guessed and "dt" not in (roles or {}):
         guessed.append(f"the sampling time is {step:g} s")
@@ -87,7 +87,7 @@ def _open(path):
 
 
 def remarks(recording):
-    """What was guessed and noticed when a file was read, as sentences; [] if nothing.
+    """Sentences on what the reader of a file guessed and noticed, or [].
 
     Examples
     --------
@@ -122,7 +122,7 @@ def known(path):
 
 
 def _mapping(roles):
-    """Roles as a dict, so that one more can be put to them."""
+    """Roles as a dict, to which another can be added."""
     from tras.roles import _read
 
     return _read(roles)
@@ -136,7 +136,7 @@ def _header(dt, labels, attributes):
 
 
 def _checked(header):
-    """The header of `_header`, or an error: others may have had their hands on it."""
+    """The header of `_header`, or an error: another program may have changed it."""
     if header.get("format") != FORMAT:
         raise RecordingError(f"its format is {str(header.get('format'))[:40]!r}, this release reads {FORMAT!r}.")
     texts = ("states", "state_units", "inputs", "input_units")
@@ -148,13 +148,13 @@ def _checked(header):
 
 
 def _own(source, resample, missing, tolerance):
-    """The content of a file that `write` has written."""
+    """The content of a file of `write`."""
     header = _checked(source.header)
     given = {"states": header["states"], "inputs": header["inputs"], "dt": header["dt"], "time": None, "trial": None}
     if "time" in source.names:
         given |= {"time": "time", "trial": "trajectory"}
     chosen, _ = assign(source.names, given, {})
-    x, u, dt, remarks = sampling.trajectories(source.read(chosen), chosen, source.place, resample=resample, missing=missing, tolerance=tolerance)
+    x, u, dt, remarks = sampling.trajectories(source.read(chosen), chosen, source.locate, resample=resample, missing=missing, tolerance=tolerance)
     attributes = dict(header["attributes"])
     if resample is None and "checksum" in header and checksum(header, zip(x, u)) != header["checksum"]:
         raise RecordingError("its numbers do not fit its checksum: it was damaged, or changed by another program; read it with roles if you trust it.")

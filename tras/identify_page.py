@@ -8,7 +8,7 @@ import pandas as pd
 from tras import advice, page, summary
 from tras.dictionary import label
 from tras.formats import remarks
-from tras.source import said
+from tras.source import one_line
 
 _WEIGHTS = {"stop": ("✗", "not", "do not use it so"), "warning": ("!", "named", "warning"), "note": ("i", "uncheckable", "note")}
 _ROWS = 40  # of a table on the page; the files have all
@@ -162,7 +162,7 @@ def _candidates(identification):
     table = identification.search.sort_values("error", kind="stable").head(_ROWS)
     rows = []
     for _, row in table.iterrows():
-        mark = "<strong>chosen</strong>" if row["chosen"] else page.escape(said(row["failure"])[:160]) if row["failure"] else ""
+        mark = "<strong>chosen</strong>" if row["chosen"] else page.escape(one_line(row["failure"])[:160]) if row["failure"] else ""
         error = f"{row['error']:.4g}" if math.isfinite(row["error"]) else "–"
         functions = f"{row['functions']:.0f}" if math.isfinite(row["functions"]) else "–"
         strength = f"{row['strength']:g}" if math.isfinite(row["strength"]) else "–"

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import h5netcdf
 import numpy as np
 
-from tras.netcdf import FORMAT
 from tras.recording import Recording, require_alike
+from tras.source import FORMAT
 
 
 class UnreadableError(ValueError):

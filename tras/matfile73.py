@@ -3,55 +3,54 @@
 import h5py
 import numpy as np
 
-from tras import heaps
 from tras.roles import RecordingError
-from tras.source import MAX_DEPTH, MAX_PARTS, MAX_VALUES, said
+from tras.source import MAX_DEPTH, MAX_PARTS, MAX_VALUES, TOO_NESTED, check_heaps, one_line
 
 _NUMERIC = ("double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "logical")
 
 
 def read_variables(path):
-    """Name -> value of every variable; as `tras.matfile5.read_variables`.
+    """Name -> value of every variable, like `tras.matfile5.read_variables`.
 
-    Links to other files, and data that lie in other files, are refused.
+    Links to other files and data stored in other files are refused.
     """
-    heaps.check(path)
+    check_heaps(path)
     budget = {"parts": 0, "values": 0}
     try:
         with h5py.File(path, "r") as file:
             return {name: _value(_member(file, name), name, 0, budget) for name in file if not name.startswith("#")}
     except RecordingError:
         raise
-    except (OSError, KeyError, RuntimeError, TypeError, ValueError, AttributeError, OverflowError, MemoryError) as error:  # all that HDF5 says of damage
-        raise RecordingError(f"it is damaged ({said(error)}).") from error
+    # HDF5 reports damage by all of these.
+    except (OSError, KeyError, RuntimeError, TypeError, ValueError, AttributeError, OverflowError, MemoryError) as error:
+        raise RecordingError(f"it is damaged ({one_line(error)}).") from error
 
 
 def _member(group, name):
     if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-        raise RecordingError(f"variable {name!r} is a link to somewhere else, which is not followed; save the numbers themselves.")
+        raise RecordingError(f"variable {name!r} is a link to somewhere else, which is not followed; save the numbers.")
     return group[name]
 
 
 def _value(item, name, depth, budget):
     budget["parts"] += 1
     if depth > MAX_DEPTH or budget["parts"] > MAX_PARTS:
-        raise RecordingError(f"it is nested more than {MAX_DEPTH} deep or has more than {MAX_PARTS} parts; save the arrays themselves.")
+        raise RecordingError(TOO_NESTED)
     kind = _text(item.attrs.get("MATLAB_class", b""))
     if "MATLAB_sparse" in item.attrs:
         raise RecordingError(f"variable {name!r} holds a sparse matrix, which is not read; save full(...).")
     if "MATLAB_object_decode" in item.attrs or kind == "function_handle":
         what = "a function handle" if kind == "function_handle" else f"an object ({kind})"
-        raise RecordingError(f"variable {name!r} holds {what}, which is not read; save its numbers, such as ts.Time and ts.Data.")
+        raise RecordingError(f"variable {name!r} holds {what}; save its numbers, such as ts.Time and ts.Data.")
     if isinstance(item, h5py.Group):
         return _struct(item, name, depth, budget)
     return _dataset(item, kind, name, depth, budget)
 
 
 def _struct(group, name, depth, budget):
-    """A dict; for an array of structs, whose fields are arrays of references without a class, a list of them."""
+    """A dict, or a list of dicts for an array of structs: its fields are arrays of references without a class."""
     members = {key: _member(group, key) for key in group}
-    arrays = [item for item in members.values() if isinstance(item, h5py.Dataset) and h5py.check_ref_dtype(item.dtype) and "MATLAB_class" not in item.attrs]
-    if arrays and len(arrays) == len(members):
+    if members and all(map(_is_array_of_structs, members.values())):
         fields = {key: _cells(item, f"{name}.{key}", depth, budget) for key, item in members.items()}
         if len({len(values) for values in fields.values()}) != 1:
             raise RecordingError(f"the fields of {name!r} have different numbers of entries; the file is damaged.")
@@ -59,15 +58,19 @@ def _struct(group, name, depth, budget):
     return {key: _value(item, f"{name}.{key}", depth + 1, budget) for key, item in members.items()}
 
 
+def _is_array_of_structs(item):
+    return isinstance(item, h5py.Dataset) and h5py.check_ref_dtype(item.dtype) and "MATLAB_class" not in item.attrs
+
+
 def _dataset(item, kind, name, depth, budget):
     if item.is_virtual or item.external:
-        raise RecordingError(f"the numbers of {name!r} lie in another file, which is not opened.")
+        raise RecordingError(f"the numbers of {name!r} lie in another file, which is not opened; save them in this one.")
     if item.attrs.get("MATLAB_empty", 0):
         return [] if kind == "cell" else "" if kind == "char" else np.empty((0, 0))
     if h5py.check_ref_dtype(item.dtype):
         return _cells(item, name, depth, budget)
     if item.dtype.names:
-        raise RecordingError(f"variable {name!r} holds complex or compound numbers, which are not read; save real and imaginary part.")
+        raise RecordingError(f"variable {name!r} holds complex or compound numbers; save real and imaginary part.")
     if item.dtype.kind not in "biuf" or (kind and kind not in (*_NUMERIC, "char")):
         raise RecordingError(f"variable {name!r} is of class {kind or item.dtype}, which is not read; save its numbers.")
     budget["values"] += item.size

@@ -5,13 +5,12 @@ import json
 import h5py
 import numpy as np
 
-from tras import heaps
 from tras.roles import RecordingError
-from tras.source import FORMAT, MAX_VALUES
+from tras.source import FORMAT, MAX_VALUES, check_heaps
 
 
 def to_xarray(recording, attributes):
-    """See `tras.Recording.to_xarray`; ``attributes`` are the recording's, as JSON holds them."""
+    """See `tras.Recording.to_xarray`; ``attributes`` are the recording's, in the types of JSON."""
     import xarray
 
     frame = recording.to_frame()
@@ -23,14 +22,16 @@ def to_xarray(recording, attributes):
     for role, names, units in roles:
         for position, (name, unit) in enumerate(zip(names, units)):
             variables[name] = ("sample", frame[name].to_numpy(), {"units": unit, "role": role, "position": position})
-    own = {
+    attributes_of_format = {
         "Conventions": "CF-1.11",
         "featureType": "trajectory",
         "format": FORMAT,
         "sampling_time": recording.dt,
         "attributes": json.dumps(attributes),
     }
-    return xarray.Dataset(variables, attrs={**{k: _plain(v) for k, v in attributes.items() if _is_plain(k, v)}, **own})
+    plain = {key: value for key, value in attributes.items() if _is_plain(key, value)}
+    plain |= {key: int(value) for key, value in plain.items() if isinstance(value, bool)}
+    return xarray.Dataset(variables, attrs={**plain, **attributes_of_format})
 
 
 def content(path):
@@ -43,14 +44,14 @@ def content(path):
     """
     import xarray
 
-    heaps.check(path)
+    check_heaps(path)
     _check_size(path)  # before xarray, which reads the coordinates as it opens a file
     with xarray.open_dataset(path, engine="h5netcdf", decode_times=False) as dataset:
         return _content(dataset.load())
 
 
 def _check_size(path):
-    """Refuse what announces more values than are read; HDF5 need not store those that nobody wrote."""
+    """Refuse a file that declares more values than are read: HDF5 does not store values that were never written."""
     values = []
     with h5py.File(path, "r") as file:
         file.visititems(lambda _, item: values.append(item.size or 0) if isinstance(item, h5py.Dataset) else None)
@@ -66,23 +67,19 @@ def _content(dataset):
         raise RecordingError(f"row_size sums to {ends[-1]} but there are {dataset.sizes['sample']} samples")
     parts = {}
     for role in ("state", "input"):
-        chosen = [name for name, variable in dataset.data_vars.items() if variable.attrs.get("role") == role]
-        chosen.sort(key=lambda name: dataset[name].attrs["position"])
-        columns = [dataset[name].to_numpy() for name in chosen]
+        names = [name for name, variable in dataset.data_vars.items() if variable.attrs.get("role") == role]
+        names.sort(key=lambda name: dataset[name].attrs["position"])
+        columns = [dataset[name].to_numpy() for name in names]
         table = np.column_stack(columns) if columns else np.empty((ends[-1], 0))
         parts[f"{role}s"] = np.split(table, ends[:-1])
-        parts[f"{role}_names"] = chosen
-        parts[f"{role}_units"] = [dataset[name].attrs["units"] for name in chosen]
+        parts[f"{role}_names"] = names
+        parts[f"{role}_units"] = [dataset[name].attrs["units"] for name in names]
     content = {**parts, "dt": float(dataset.attrs["sampling_time"]), "attributes": json.loads(dataset.attrs["attributes"])}
-    return content, dataset.attrs.get("checksum")  # files of before have none
+    return content, dataset.attrs.get("checksum")  # files of earlier releases have none
 
 
 def _is_plain(key, value):
-    """Whether a NetCDF attribute can hold it in a way that every reader understands."""
+    """Whether a NetCDF attribute can hold the value in a way that every reader understands."""
     if isinstance(value, str):
         return key.isidentifier() and value.isprintable() and value.isascii() and value != ""
     return key.isidentifier() and (isinstance(value, float) or (isinstance(value, int) and abs(value) < 2**63))
-
-
-def _plain(value):
-    return int(value) if isinstance(value, bool) else value

@@ -9,15 +9,15 @@ import pyarrow.parquet
 import pyarrow.types as types
 
 from tras.roles import RecordingError
-from tras.source import MAX_COLUMNS, MAX_FILE, Source, check_size, said
+from tras.source import MAX_COLUMNS, MAX_FILE, Source, check_size, one_line
 
 _KEY = b"tras"  # of the file's metadata
-# Our columns are numbered from here on: that stands in another place of the file than the metadata, and tells when these were lost.
+# Our columns are numbered from here on; the numbers are stored apart from the metadata, so they show when it is lost.
 _ID, _FIRST = b"PARQUET:field_id", int.from_bytes(b"tras", "big")
 
 
 def write_table(frame, header, path):
-    """A pandas table, ``header`` (a dict) in its metadata, with checksums of its pages."""
+    """Write a pandas table with ``header`` (a dict) in its metadata and checksums of its pages."""
     table = pyarrow.Table.from_pandas(frame, preserve_index=False)
     fields = [field.with_metadata({_ID: str(_FIRST + i)}) for i, field in enumerate(table.schema)]
     table = table.cast(pyarrow.schema(fields, metadata={_KEY: json.dumps(header)}))
@@ -38,47 +38,48 @@ def open_table(path):
     with _damage():
         header = json.loads((schema.metadata or {}).get(_KEY, b"null"))
         metadata = {name: schema.field(name).metadata or {} for name in names}
-        units = {name: own.get(b"units", own.get(b"unit", b"")).decode("utf-8") for name, own in metadata.items()}
-    if header is None and any(own.get(_ID, b"").isdigit() and 0 <= int(own[_ID]) - _FIRST < MAX_COLUMNS for own in metadata.values()):
-        raise RecordingError("it was written as a tras recording but has lost its own description: it is damaged; make it again with Recording.write.")
+        units = {name: entry.get(b"units", entry.get(b"unit", b"")).decode("utf-8") for name, entry in metadata.items()}
+    numbers = [int(entry[_ID]) for entry in metadata.values() if entry.get(_ID, b"").isdigit()]
+    if header is None and any(0 <= number - _FIRST < MAX_COLUMNS for number in numbers):
+        raise RecordingError("it is a tras recording that has lost its own description: it is damaged; write it again.")
 
     def read(roles):
-        wanted = [name for name in names if name in (roles.time, roles.trial, *roles.states, *roles.inputs)]
+        columns = [name for name in names if name in (roles.time, roles.trial, *roles.states, *roles.inputs)]
         with _damage():
-            table = file.read(columns=wanted, use_threads=False)
+            table = file.read(columns=columns, use_threads=False)
             table.validate(full=True)
-        if table.column_names != wanted or table.num_rows != rows:
+        if table.column_names != columns or table.num_rows != rows:
             raise RecordingError("its columns are not those of its description; it is damaged.")
-        return [{name: _column(table.column(name), name, roles) for name in wanted}]
+        return [{name: _column(table.column(name), name, roles) for name in columns}]
 
     return Source(names, units, read, lambda _, row: f"row {row + 1}", header)
 
 
 @contextlib.contextmanager
 def _damage():
-    """What the library says of damage, as a sentence."""
+    """Turn the library's errors into one sentence."""
     try:
         yield
     except (OSError, ValueError, TypeError, KeyError, NotImplementedError, MemoryError, RecursionError, pyarrow.ArrowException) as error:
-        raise RecordingError(f"it is damaged, or of a kind that is not read ({said(error)}).") from error
+        raise RecordingError(f"it is damaged, or of a kind that is not read ({one_line(error)}).") from error
 
 
 def _column(column, name, roles):
-    """A column as floats; times as seconds since the first, labels of trials as text."""
+    """A column as floats; times in seconds since the first, labels of trials as text."""
     kind = column.type
     if name == roles.trial and name != roles.time:
         if types.is_nested(kind):
-            raise RecordingError(f"column {name!r} holds {kind}; a trial is told by a number or a text.")
+            raise RecordingError(f"column {name!r} holds {kind}; number the trials, or give each one a text.")
         return np.array(["" if value is None else str(value) for value in column.to_pylist()])
     if types.is_timestamp(kind) and name == roles.time:
         numbers = column.cast(pyarrow.int64())
         ticks = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[kind.unit]
-        present = np.array(numbers.is_valid(), dtype=bool)
+        valid = np.array(numbers.is_valid(), dtype=bool)
         values = np.array(numbers.fill_null(0), dtype=np.int64)
-        first = values[present][0] if present.any() else 0
-        return np.where(present, (values - first) / ticks, np.nan)
+        first = values[valid][0] if valid.any() else 0
+        return np.where(valid, (values - first) / ticks, np.nan)
     if not (types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind) or types.is_boolean(kind) or types.is_null(kind)):
-        raise RecordingError(f"column {name!r} holds {kind}, not numbers; leave it out by roles.")
+        raise RecordingError(f"column {name!r} holds {kind}, not numbers; leave it out of the roles.")
     if types.is_boolean(kind):
         column = column.cast(pyarrow.int8())
     column = column.cast(pyarrow.float64(), safe=False)

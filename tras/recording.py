@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 
-from tras.provenance import versions  # noqa: F401  for those that still look for it here
 
 _RESERVED = ("trajectory", "time", "sample", "row_size")  # columns and dimensions of the table and the file
 
@@ -42,7 +41,6 @@ class Recording:
     --------
     >>> import numpy as np
 
-from tras.provenance import versions  # noqa: F401  for those that still look for it here
     >>> r = Recording(np.zeros((1, 50001, 4)), np.zeros((1, 50001, 2)), 0.01).cut(501)
     >>> len(r), r.states.shape, r.pairs
     (100, (100, 501, 4), 50000)

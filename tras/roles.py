@@ -1,4 +1,4 @@
-"""Which columns of a table are time, states, inputs and the number of the trial: as given, or guessed from plain names and said."""
+"""Which columns of a table are time, states, inputs and trial numbers: specified, or guessed from plain names."""
 
 import difflib
 import re
@@ -8,22 +8,26 @@ from typing import NamedTuple
 from tras import arguments
 
 _KEYS = ("time", "states", "inputs", "trial", "dt", "units")
-_TIME = {"t", "time", "times", "timestamp", "zeit", "tout", "seconds", "elapsed", "datetime"}
-_TRIAL = {"trial", "run", "episode", "trajectory", "traj", "experiment", "repetition", "segment", "sequence", "session"}
-_INPUT = {"u", "in", "input", "inputs", "torque", "torques", "tau", "force", "voltage", "cmd", "command", "control", "ctrl", "action", "actuator",
-          "pwm", "throttle", "duty", "current", "moment"}  # fmt: skip
-_STATE = {"q", "x", "y", "z", "angle", "angles", "theta", "phi", "psi", "alpha", "beta", "gamma", "pitch", "yaw", "roll", "azimuth", "elevation", "heading",
-          "pos", "position", "vel", "velocity", "speed", "omega", "rate", "state", "states", "output", "outputs", "out", "displacement", "height", "level"}  # fmt: skip
-_UNITS_OF_TIME = {"s": (1, 1), "sec": (1, 1), "seconds": (1, 1), "ms": (1, 1000), "us": (1, 10**6), "µs": (1, 10**6), "μs": (1, 10**6),
-                  "ns": (1, 10**9), "min": (60, 1), "h": (3600, 1)}  # fmt: skip
+_TIME = set("t time times timestamp zeit tout seconds elapsed datetime".split())
+_TRIAL = set("trial run episode trajectory traj experiment repetition segment sequence session".split())
+_INPUT = set(
+    "u in input inputs torque torques tau force voltage cmd command control ctrl action actuator pwm throttle duty "
+    "current moment".split()
+)
+_STATE = set(
+    "q x y z angle angles theta phi psi alpha beta gamma pitch yaw roll azimuth elevation heading pos position vel "
+    "velocity speed omega rate state states output outputs out displacement height level".split()
+)
+_UNITS_OF_TIME = {"s": (1, 1), "sec": (1, 1), "seconds": (1, 1), "ms": (1, 1000), "us": (1, 10**6), "µs": (1, 10**6)}
+_UNITS_OF_TIME |= {"μs": (1, 10**6), "ns": (1, 10**9), "min": (60, 1), "h": (3600, 1)}
 
 
 class RecordingError(ValueError):
-    """A file that is no recording, or does not say enough to be one: one sentence with its path, and where in it."""
+    """A file is not a recording, or lacks something that one needs: one sentence with its path and the place in it."""
 
 
 class Roles(NamedTuple):
-    """Names of columns: one or None for ``time`` and ``trial``, lists for ``states`` and ``inputs``; ``units`` of some, ``dt`` in s or None."""
+    """Names of columns (None: there is none), name -> unit of some, and the sampling time ``dt`` in s or None."""
 
     time: str | None
     states: list
@@ -33,70 +37,72 @@ class Roles(NamedTuple):
     units: dict
 
 
-def assign(names, given, units, dt=None):
-    """The roles of the columns ``names``: those ``given``, the others guessed.
+def assign(names, roles, units, dt=None):
+    """The roles of the columns ``names``: as ``roles`` specifies, the others guessed.
 
     Parameters
     ----------
     names : list of str
         Columns of the file.
-    given : dict, path of a YAML file, or None
-        ``time`` and ``trial``: a name or null (none). ``states`` (or ``outputs``) and ``inputs``: a list of names. ``units``: name ->
-        unit. ``dt``: sampling time in s, when there is no column of time.
+    roles : dict, path of a YAML file, or None
+        ``time`` and ``trial``: a name or null (none). ``states`` (or ``outputs``) and ``inputs``: a list of names.
+        ``units``: name -> unit. ``dt``: sampling time in s, when there is no column of time.
     units : dict
-        Name -> unit, as the file has them.
+        Name -> unit, from the file.
     dt : float, optional
-        A sampling time that the file has, in s.
+        The sampling time from the file, in s.
 
     Returns
     -------
     roles : Roles
-    guessed : list of str
-        A sentence for each role that was guessed.
+    guesses : list of str
+        One sentence per guess.
 
     Raises
     ------
     RecordingError
-        When a key or a column is unknown, a column has two roles, or nothing is plain.
+        When a key or a column is unknown, when a column has two roles, or when the names leave a role open.
 
     Examples
     --------
-    >>> roles, guessed = assign(["t", "phi", "phidot", "u1", "comment"], None, {})
+    >>> roles, guesses = assign(["t", "phi", "phidot", "u1", "comment"], None, {})
     >>> roles.states, roles.inputs
     (['phi', 'phidot'], ['u1'])
-    >>> print("; ".join(guessed))
+    >>> print("; ".join(guesses))
     time is column t; states are phi, phidot; inputs are u1; left out: comment
     """
-    given = _read(given)
-    if "time" not in given and given.get("trial") and guess_role(given["trial"]) == "time":
-        given["time"] = given["trial"]
-    free = [name for name in names if name not in _taken(names, given)]
-    guess = {"time": [], "trial": [], "states": [], "inputs": []}
-    for name in free:
+    spec = _read(roles)
+    if "time" not in spec and spec.get("trial") and guess_role(spec["trial"]) == "time":
+        spec["time"] = spec["trial"]
+    columns = _columns_with_a_role(names, spec)
+    candidates = {"time": [], "trial": [], "states": [], "inputs": []}
+    for name in names:
         role = guess_role(name)
-        if role:
-            guess[role].append(name)
-    chosen, guessed = dict(given), []
+        if role and name not in columns:
+            candidates[role].append(name)
+    assignment, guesses = dict(spec), []
     for role, words in (("time", "time is column"), ("trial", "a new trial begins when this column changes:")):
-        if role not in given:
-            chosen[role] = guess[role][0] if len(guess[role]) == 1 else None
-            if chosen[role]:
-                guessed.append(f"{words} {chosen[role]}")
-            elif len(guess[role]) > 1:
-                raise RecordingError(f"{' and '.join(guess[role])} could each be the column of {role}; {_help(names)}")
+        if role not in spec:
+            assignment[role] = candidates[role][0] if len(candidates[role]) == 1 else None
+            if assignment[role]:
+                guesses.append(f"{words} {assignment[role]}")
+            elif len(candidates[role]) > 1:
+                listing = " and ".join(candidates[role])
+                raise RecordingError(f"{listing} could each be the column of {role}; {_help(names)}")
     for role in ("states", "inputs"):
-        if role not in given:
-            chosen[role] = guess[role]
-            guessed.append(f"{role} are {', '.join(guess[role]) or 'none'}")
-    if not chosen["states"]:
+        if role not in spec:
+            assignment[role] = candidates[role]
+            guesses.append(f"{role} are {', '.join(candidates[role]) or 'none'}")
+    if not assignment["states"]:
         raise RecordingError(f"no column is plainly a state or an output; {_help(names)}")
-    chosen.setdefault("dt", dt)
-    roles = Roles(**{**chosen, "units": {**units, **given.get("units", {})}})
+    assignment.setdefault("dt", dt)
+    roles = Roles(**{**assignment, "units": {**units, **spec.get("units", {})}})
     if roles.time is None and roles.dt is None:
-        raise RecordingError(f"no column is plainly time, and no sampling time is given: give dt (in s), or {_help(names)}")
-    used = {roles.time, roles.trial, *roles.states, *roles.inputs}
-    rest = [name for name in names if name not in used]
-    return roles, guessed + ([f"left out: {', '.join(rest)}"] if rest and guessed else [])
+        raise RecordingError(
+            f"no column is plainly time, and no sampling time is given: give dt (in s), or {_help(names)}"
+        )
+    rest = [name for name in names if name not in (roles.time, roles.trial, *roles.states, *roles.inputs)]
+    return roles, guesses + ([f"left out: {', '.join(rest)}"] if rest and guesses else [])
 
 
 def guess_role(name):
@@ -104,7 +110,8 @@ def guess_role(name):
 
     Examples
     --------
-    >>> [guess_role(name) for name in ("Time_ms", "run", "theta_dot", "dq2", "motorTorque", "u", "reference", "torque_angle")]
+    >>> names = ("Time_ms", "run", "theta_dot", "dq2", "motorTorque", "u", "reference", "torque_angle")
+    >>> [guess_role(name) for name in names]
     ['time', 'trial', 'states', 'states', 'inputs', 'inputs', None, None]
     """
     words = [word.lower() for word in re.findall(r"[A-Z]?[^\W\d_A-Z]+|[A-Z]+", name)]
@@ -112,56 +119,57 @@ def guess_role(name):
         return "time"
     if words and words[0] in _TRIAL and all(word in ("id", "no", "nr", "num", "number", "index") for word in words[1:]):
         return "trial"
-    found = {role for role, known in (("states", _STATE), ("inputs", _INPUT)) if any(_core(word, known) for word in words)}
+    vocabularies = (("states", _STATE), ("inputs", _INPUT))
+    roles = {role for role, vocabulary in vocabularies if any(_is_in(vocabulary, word) for word in words)}
     unclear = {"ref", "reference", "setpoint", "target", "desired", "goal", "time", "error"} & set(words)
     if words and words[0] in ("u", "tau", "input", "cmd"):
-        found = {"inputs"}  # u_phi: the input that moves phi
-    return found.pop() if len(found) == 1 and not unclear else None
+        roles = {"inputs"}  # u_phi: the input that moves phi
+    return roles.pop() if len(roles) == 1 and not unclear else None
 
 
 def seconds(name, unit):
-    """(numerator, denominator) that turn the column of time ``name`` with ``unit`` into s.
+    """(numerator, denominator) that convert the column of time ``name`` with ``unit`` to s.
 
     Raises
     ------
     RecordingError
-        If the unit is none of time.
+        If the unit is not one of time.
     """
     if not unit:
         unit = re.split(r"[_ ]", name.lower())[-1]
         return _UNITS_OF_TIME.get(unit, (1, 1)) if unit != name.lower() else (1, 1)
     if unit.lower() not in _UNITS_OF_TIME:
-        raise RecordingError(f"the column of time {name!r} has the unit {unit!r}; give one of {', '.join(_UNITS_OF_TIME)} under units.")
+        raise RecordingError(
+            f"the column of time {name!r} has the unit {unit!r}; give one of {', '.join(_UNITS_OF_TIME)} under units."
+        )
     return _UNITS_OF_TIME[unit.lower()]
 
 
-def _core(word, known):
-    """Whether a word is a known one, or the derivative of one: dq, qd, qdot, thetadot."""
-    stripped = (word, word.removeprefix("d"), word.removesuffix("dot"), word.removesuffix("ddot"), word.removesuffix("d"))
-    return any(each in known for each in stripped)
+def _is_in(vocabulary, word):
+    """Whether a word or what it is the derivative of is in the vocabulary: dq, qd, qdot, thetadot."""
+    roots = (word, word.removeprefix("d"), *(word.removesuffix(suffix) for suffix in ("dot", "ddot", "d")))
+    return not vocabulary.isdisjoint(roots)
 
 
-def _read(given):
-    """The mapping, whole and with its own kinds of values, from a dict or a YAML file."""
-    if given is None:
+def _read(roles):
+    """The mapping of a dict or a YAML file, its keys and the types of its values checked."""
+    if roles is None:
         return {}
-    if not hasattr(given, "items"):
-        given = _yaml(Path(given))
-    given = dict(given)
-    if "outputs" in given:
-        given["states"] = [*_list("states", given.get("states")), *_list("outputs", given.pop("outputs"))]
-    for key, value in given.items():
+    spec = dict(roles if hasattr(roles, "items") else _yaml(Path(roles)))
+    if "outputs" in spec:
+        spec["states"] = [*_list("states", spec.get("states")), *_list("outputs", spec.pop("outputs"))]
+    for key, value in spec.items():
         if key not in _KEYS:
             raise RecordingError(f"roles has the key {key!r}; it knows {', '.join(_KEYS)} and outputs.")
         if key in ("states", "inputs"):
-            given[key] = _list(key, value)
+            spec[key] = _list(key, value)
         elif key in ("time", "trial") and not (value is None or isinstance(value, str)):
             raise RecordingError(f"roles: {key} is {value!r}; give the name of one column.")
-        elif key == "units" and not (isinstance(value, dict) and all(isinstance(text, str) for pair in value.items() for text in pair)):
+        elif key == "units" and not (isinstance(value, dict) and _texts([*value, *value.values()])):
             raise RecordingError(f"roles: units is {value!r}; give name: unit for each.")
         elif key == "dt":
             arguments.number("roles: dt", value, 0, ends=False, give="the sampling time in s, a positive number", error=RecordingError)
-    return given
+    return spec
 
 
 def _yaml(path):
@@ -178,38 +186,44 @@ def _yaml(path):
     return content
 
 
+def _texts(values):
+    return all(isinstance(value, str) for value in values)
+
+
 def _list(key, value):
     value = [value] if isinstance(value, str) else [] if value is None else value
-    if not isinstance(value, (list, tuple)) or not all(isinstance(name, str) for name in value):
+    if not isinstance(value, (list, tuple)) or not _texts(value):
         raise RecordingError(f"roles: {key} is {value!r}; give a list of names.")
     return list(value)
 
 
-def _taken(names, given):
-    """The columns that have been given a role, all of them there and each once (time may also tell the trials apart)."""
-    taken = [given.get("time"), *given.get("states", []), *given.get("inputs", [])]
-    if given.get("trial") is not None and given["trial"] != given.get("time"):
-        taken.append(given["trial"])
-    taken = [name for name in taken if name is not None]
-    for name in [*taken, *given.get("units", {})]:
+def _columns_with_a_role(names, spec):
+    """The columns that ``spec`` names: they must exist and have one role (time may also tell the trials apart)."""
+    columns = [spec.get("time"), *spec.get("states", []), *spec.get("inputs", [])]
+    if spec.get("trial") is not None and spec["trial"] != spec.get("time"):
+        columns.append(spec["trial"])
+    columns = [name for name in columns if name is not None]
+    for name in [*columns, *spec.get("units", {})]:
         if name not in names:
             near = difflib.get_close_matches(name, names, n=1)
-            raise RecordingError(f"roles: there is no column {name!r}{f' (did you mean {near[0]!r}?)' if near else ''}; {_listed(names)}.")
-    for name in taken:
-        if taken.count(name) > 1:
+            hint = f" (did you mean {near[0]!r}?)" if near else ""
+            raise RecordingError(f"roles: there is no column {name!r}{hint}; {_listing(names)}.")
+    for name in columns:
+        if columns.count(name) > 1:
             raise RecordingError(f"roles: column {name!r} has two roles; give it one.")
-    return taken
+    return columns
 
 
 def _help(names):
-    """What to write, with the file's own names where they can serve."""
-    shown = [*names[:6], "...", "...", "..."]
+    """What to write, with the file's own names as examples."""
+    examples = [*names[:3], "...", "...", "..."]
     return (
-        f"{_listed(names)}; say what they are in a YAML file (or a dict) given as roles, for example\n"
-        f"    time: {shown[0]}\n    states: [{shown[1]}]\n    inputs: [{shown[2]}]\n    trial: null"
+        f"{_listing(names)}; say what they are in a YAML file (or a dict) given as roles, for example\n"
+        f"    time: {examples[0]}\n    states: [{examples[1]}]\n    inputs: [{examples[2]}]\n    trial: null"
     )
 
 
-def _listed(names):
+def _listing(names):
     more = f" and {len(names) - 30} more" if len(names) > 30 else ""
-    return f"the file has the columns {', '.join(name[:60] for name in names[:30])}{more}" if names else "the file has no columns"
+    columns = ", ".join(name[:60] for name in names[:30])
+    return f"the file has the columns {columns}{more}" if names else "the file has no columns"

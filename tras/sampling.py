@@ -7,17 +7,17 @@ from tras.roles import RecordingError, seconds
 TOLERANCE = 0.01  # of the sampling time: how far a step may be from it
 
 
-@np.errstate(over="ignore", invalid="ignore")  # damaged times may overflow; what comes of it is refused
-def trajectories(tables, roles, place, *, resample=None, missing="cut", tolerance=TOLERANCE):
-    """States, inputs and sampling time of a recording, and what had to be done.
+@np.errstate(over="ignore", invalid="ignore")  # damaged times may overflow; the result is refused
+def trajectories(tables, roles, locate, *, resample=None, missing="cut", tolerance=TOLERANCE):
+    """States, inputs and sampling time of a recording, and remarks on changes and constant channels.
 
     Parameters
     ----------
     tables : list of dict
-        One a trial of the file: name -> (rows,) floats; the trial's column may hold text.
+        One per trial of the file: name -> (rows,) floats; the column of trials may hold text.
     roles : tras.roles.Roles
-    place : callable
-        (table, row) -> where that is in the file, for people.
+    locate : callable
+        (table, row) -> where that is in the file, as text.
     resample, missing, tolerance
         See `tras.Recording.read`.
 
@@ -31,7 +31,7 @@ def trajectories(tables, roles, place, *, resample=None, missing="cut", toleranc
     Raises
     ------
     RecordingError
-        When time goes backwards, stands still or is uneven, when a trial begins twice, when nothing is left.
+        When time goes backwards, stands still or is uneven, when a trial begins twice, or when nothing is left.
     """
     if missing not in ("cut", "refuse"):
         raise RecordingError(f"missing is {missing!r}; give 'cut' or 'refuse'.")
@@ -40,10 +40,12 @@ def trajectories(tables, roles, place, *, resample=None, missing="cut", toleranc
             raise RecordingError(f"{name} is {value!r}; give a positive number.")
     pieces, remarks = [], []
     for number, table in enumerate(tables):
-        for start, end in _trials(table, roles, lambda row: place(number, row)):
+        for start, end in _trials(table, roles, lambda row: locate(number, row)):
             rows = slice(start, end)
-            x, u = (_stack([table[name][rows] for name in names], end - start) for names in (roles.states, roles.inputs))
-            pieces.append((_time(table, roles, rows), x, u, lambda row, number=number, start=start: place(number, start + row)))
+            columns = ([table[name][rows] for name in names] for names in (roles.states, roles.inputs))
+            x, u = (_stack(each, end - start) for each in columns)
+            where = lambda row, number=number, start=start: locate(number, start + row)  # noqa: E731
+            pieces.append((_time(table, roles, rows), x, u, where))
     pieces = _cut(pieces, roles, missing, remarks)
     if roles.time is None:
         if resample is not None:
@@ -56,8 +58,9 @@ def trajectories(tables, roles, place, *, resample=None, missing="cut", toleranc
         dt = float(resample) if resample is not None else _sampling_time(pieces, roles, tolerance)
         if resample is not None:
             pieces = _resampled(pieces, dt, remarks)
-    remarks += _constant([x for _, x, _, _ in pieces], roles.states) + _constant([u for _, _, u, _ in pieces], roles.inputs)
-    return [x for _, x, _, _ in pieces], [u for _, _, u, _ in pieces], dt, remarks
+    _, states, inputs, _ = zip(*pieces)
+    remarks += _constant(states, roles.states) + _constant(inputs, roles.inputs)
+    return list(states), list(inputs), dt, remarks
 
 
 def _stack(columns, rows):
@@ -65,7 +68,7 @@ def _stack(columns, rows):
 
 
 def _trials(table, roles, where):
-    """(first row, end) of every trial: where the trial's column changes, or where time jumps back if that is the same column."""
+    """(first row, end) of every trial: where its column changes or, if that is the column of time, decreases."""
     rows = len(table[roles.states[0]])
     if rows == 0:
         return []
@@ -77,12 +80,15 @@ def _trials(table, roles, where):
     else:
         unknown = np.flatnonzero(label != label) if label.dtype.kind == "f" else np.flatnonzero(label == "")
         if unknown.size:
-            raise RecordingError(f"{where(unknown[0])}: the trial's column {roles.trial!r} is empty; every row needs its trial.")
+            raise RecordingError(f"{where(unknown[0])}: the trial's column {roles.trial!r} is empty; fill every row.")
         starts = np.flatnonzero(label[1:] != label[:-1]) + 1
         seen = set()
         for start in (0, *starts):
             if label[start] in seen:
-                raise RecordingError(f"{where(start)}: trial {label[start]} of column {roles.trial!r} begins a second time; sort the rows by trial and time.")
+                raise RecordingError(
+                    f"{where(start)}: trial {label[start]} of column {roles.trial!r} begins a second time; "
+                    "sort the rows by trial and time."
+                )
             seen.add(label[start])
     return list(zip([0, *starts.tolist()], [*starts.tolist(), rows]))
 
@@ -96,32 +102,34 @@ def _time(table, roles, rows):
 
 
 def _cut(pieces, roles, missing, remarks):
-    """The pieces between rows in which something is missing."""
-    kept, places, short = [], [], 0
-    names = [*roles.states, *roles.inputs]
+    """The pieces between rows in which a value is missing."""
+    complete, places, count, short = [], [], 0, 0
+    names = [*roles.states, *roles.inputs, roles.time]
     for t, x, u, where in pieces:
         table = np.hstack([x, u]) if t is None else np.hstack([x, u, t[:, None]])
         bad = ~np.isfinite(table)
-        lost = np.flatnonzero(bad.any(axis=1))
-        if not lost.size:
-            kept.append((t, x, u, where))
+        gaps = np.flatnonzero(bad.any(axis=1))
+        if not gaps.size:
+            complete.append((t, x, u, where))
             continue
-        places += [(where(row), [*names, roles.time][int(np.argmax(bad[row]))]) for row in lost[:3]] + [None] * (len(lost) - 3)
-        for start, end in zip([0, *(lost + 1)], [*lost, len(x)]):
+        count += len(gaps)
+        places += [f"{names[np.argmax(bad[row])]} at {where(row)}" for row in gaps[:3]]
+        for start, end in zip([0, *(gaps + 1)], [*gaps, len(x)]):
             if end - start >= 2:
-                kept.append((None if t is None else t[start:end], x[start:end], u[start:end], lambda row, where=where, start=start: where(start + row)))
+                shifted = lambda row, where=where, start=start: where(start + row)  # noqa: E731
+                complete.append((None if t is None else t[start:end], x[start:end], u[start:end], shifted))
             elif end > start:
                 short += 1
     if places:
-        shown = "; ".join(f"{name} at {spot}" for spot, name in [place for place in places if place][:3])
-        report = f"values are missing (empty, NaN or infinite) in {len(places)} rows, the first: {shown}"
+        report = f"values are missing (empty, NaN or infinite) in {count} rows, the first: {'; '.join(places[:3])}"
         if missing == "refuse":
             raise RecordingError(f"{report}; repair them, or read with missing='cut'.")
         single = f", and left out {short} single samples between" if short else ""
-        remarks.append(f"{report}; cut the trajectories there: {len(kept)} are left{single}")
-    if not kept:
-        raise RecordingError("no two rows in succession are complete; nothing is left to read." if places else "there are no rows of numbers.")
-    return kept
+        remarks.append(f"{report}; cut the trajectories there: {len(complete)} are left{single}")
+    if not complete:
+        why = "no two rows in succession are complete; nothing is left" if places else "it has no rows of numbers"
+        raise RecordingError(f"{why}.")
+    return complete
 
 
 def _check_order(t, where, roles):
@@ -129,26 +137,29 @@ def _check_order(t, where, roles):
     if np.any(steps < 0):
         row = int(np.argmax(steps < 0)) + 1
         raise RecordingError(
-            f"{where(row)}: time goes backwards in column {roles.time!r}, from {t[row - 1]:g} to {t[row]:g} s; sort the rows, name the trial's column, "
-            f"or give `trial: {roles.time}` if a new trial begins there."
+            f"{where(row)}: time goes backwards in column {roles.time!r}, from {t[row - 1]:g} to {t[row]:g} s; "
+            f"sort the rows, name the trial's column, or give `trial: {roles.time}` if a new trial begins there."
         )
     if np.any(steps == 0):
         row = int(np.argmax(steps == 0)) + 1
-        raise RecordingError(f"{where(row)}: the time {t[row]:g} s in column {roles.time!r} stands there twice ({np.sum(steps == 0)} rows repeat one); keep one row of each.")
+        raise RecordingError(
+            f"{where(row)}: the time {t[row]:g} s in column {roles.time!r} stands there twice "
+            f"({np.sum(steps == 0)} rows repeat one); keep one row of each."
+        )
 
 
 def _sampling_time(pieces, roles, tolerance):
-    """The time that all steps have, to within the tolerance."""
+    """The step that all samples share within the tolerance."""
     steps = np.concatenate([np.diff(t) for t, *_ in pieces])
     if not steps.size:
         if roles.dt is None:
-            raise RecordingError("every trajectory has a single sample, so there is no sampling time; give dt, in s.")
+            raise RecordingError("every trajectory has one sample, so there is no sampling time; give dt, in s.")
         return float(roles.dt)
     longest = max((t for t, *_ in pieces), key=len)
     dt = float(roles.dt) if roles.dt is not None else float(np.median(steps))
     if not 0 < dt < np.inf:
         raise RecordingError(f"the median step of column {roles.time!r} is {dt} s, which is no sampling time.")
-    # Far from zero, time stamps themselves are rounded.
+    # Far from zero, the time stamps are rounded.
     grain = 4 * np.spacing(max(np.abs(t).max() for t, *_ in pieces))
     uneven = np.abs(steps - dt) > tolerance * dt + grain
     if uneven.any():
@@ -157,25 +168,27 @@ def _sampling_time(pieces, roles, tolerance):
             if off.any():
                 first = where(int(np.argmax(off)) + 1)
                 break
-        given = "the given dt" if roles.dt is not None else "the median"
+        reference = "the given dt" if roles.dt is not None else "the median"
         raise RecordingError(
-            f"time is uneven in column {roles.time!r}: {uneven.sum()} of {len(steps)} steps differ from {given}, {dt:.6g} s, by more than {100 * tolerance:g} %, "
-            f"the first at {first}; they are between {steps.min():.6g} and {steps.max():.6g} s. "
-            f"Read with resample={_round(float(np.median(steps)), 3):g} (linear for states, held for inputs), or a larger tolerance."
+            f"time is uneven in column {roles.time!r}: {uneven.sum()} of {len(steps)} steps differ from {reference}, "
+            f"{dt:.6g} s, by more than {100 * tolerance:g} %, the first at {first}; "
+            f"they are between {steps.min():.6g} and {steps.max():.6g} s. "
+            f"Read with resample={_round(float(np.median(steps)), 3):g} (linear for states, held for inputs), "
+            "or a larger tolerance."
         )
     return dt if roles.dt is not None else _plain_step(longest)
 
 
 def _plain_step(t):
-    """The step of even times with the fewest digits that explain them: 0.01 where they say 0.0099999999."""
+    """The step with the fewest digits that explains even times: 0.01 where they say 0.0099999999."""
     k, mean = np.arange(len(t)), (t[-1] - t[0]) / (len(t) - 1)
 
     def worst(step):
         return np.abs(t - t[0] - k * step).max()
 
-    allowed = 1.5 * worst(mean) + 4 * np.spacing(np.abs(t).max())
+    limit = 1.5 * worst(mean) + 4 * np.spacing(np.abs(t).max())
     rounded = [_round(mean, digits) for digits in range(1, 16)]
-    return float(next((step for step in rounded if worst(step) <= allowed), mean))
+    return float(next((step for step in rounded if worst(step) <= limit), mean))
 
 
 def _round(value, digits):
@@ -183,7 +196,7 @@ def _round(value, digits):
 
 
 def _resampled(pieces, dt, remarks):
-    """Every piece on its own even grid: linear for states, the last value held for inputs."""
+    """Every piece on an even grid of its own: linear for states, the last value held for inputs."""
     new, widest = [], 0.0
     for t, x, u, where in pieces:
         since = t - t[0]
@@ -195,10 +208,14 @@ def _resampled(pieces, dt, remarks):
         states = np.column_stack([np.interp(grid, since, column) for column in x.T])
         new.append((grid, states, u[before], where))
         widest = max(widest, float(np.diff(t).max(initial=0.0)))
-    remarks.append(f"resampled at {dt:g} s: linear for states, the last value held for inputs; the widest gap bridged is {widest:.4g} s")
+    remarks.append(
+        f"resampled at {dt:g} s: linear for states, the last value held for inputs; "
+        f"the widest gap bridged is {widest:.4g} s"
+    )
     return new
 
 
 def _constant(arrays, names):
     table = np.concatenate(arrays)
-    return [f"{name} is constant ({table[0, i]:g})" for i, name in enumerate(names) if len(table) > 1 and (table[:, i] == table[0, i]).all()]
+    constant = (table == table[0]).all(axis=0) & (len(table) > 1)
+    return [f"{name} is constant ({table[0, i]:g})" for i, name in enumerate(names) if constant[i]]

@@ -14,7 +14,7 @@ from tras.estimator import Channels
 from tras.files import replacing
 from tras.hull import Hull
 from tras.predictors import PREDICTORS
-from tras.recording import versions
+from tras.provenance import versions
 
 _FORMAT = "tras model 2"
 # What reading a damaged file, and making something of what it holds, may raise.

@@ -8,7 +8,8 @@ import pandas as pd
 from tras import cache as results_cache
 from tras import executors, sweep_grid, sweep_point
 from tras.formats import checksum
-from tras.recording import Recording, versions
+from tras.provenance import versions
+from tras.recording import Recording
 from tras.study import compute
 from tras.sweep_grid import DICTIONARIES
 from tras.sweep_point import Data, File

@@ -1,18 +1,20 @@
-"""Dictionaries as formulas: their functions computed with symbols in place of numbers, and written as code.
+"""A dictionary's functions as expressions, and as code in C and MATLAB.
 
-`Dictionary.lift` is arithmetic on arrays, and NumPy computes with arrays of any objects. Handed symbols it returns its functions as
-expressions, so a dictionary is described once, by its own ``_fill``, and C, MATLAB and printed formulas follow from that.
+`Dictionary.lift` is arithmetic on arrays, and NumPy computes with arrays of any objects. Given symbols in place of
+numbers it returns expressions. So ``_fill`` describes a dictionary once; C, MATLAB and printed formulas follow from it.
+
+SymPy could replace this module, with the same values to 1e-15, but takes 100 times as long (docs/export.md).
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-FUNCTIONS = ("exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "sqrt")  # called the same in C, MATLAB and Python
+FUNCTIONS = ("exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "sqrt")  # the same in C, MATLAB, Python
 
 
 class Symbol:
-    """A channel of scaled points, a number, or an operation on symbols; within a table the same expression is the same object."""
+    """A scaled channel, a number, or an operation on symbols; in one table, equal expressions are one object."""
 
     __slots__ = ("kind", "parts", "table")
 
@@ -20,49 +22,25 @@ class Symbol:
         self.kind, self.parts, self.table = kind, parts, table
 
     def _of(self, kind, *parts):
-        key = (kind, *(id(part) if isinstance(part, Symbol) else part for part in parts))
+        key = (kind, *parts)
         if key not in self.table:
             self.table[key] = Symbol(kind, parts, self.table)
         return self.table[key]
 
     def number(self, value):
-        """``value`` as a symbol of this one's table."""
+        """``value`` as a symbol in the table of this one."""
         return value if isinstance(value, Symbol) else self._of("number", float(value))
 
     def _with(self, kind, a, b):
         if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
-            return NotImplemented  # NumPy takes them one by one
+            return NotImplemented  # NumPy goes through the elements
         a, b = self.number(a), self.number(b)
         simpler = _simpler(kind, a, b)
         return self._of(kind, a, b) if simpler is None else simpler
 
-    def __add__(self, other):
-        return self._with("+", self, other)
-
-    def __radd__(self, other):
-        return self._with("+", other, self)
-
-    def __sub__(self, other):
-        return self._with("-", self, other)
-
-    def __rsub__(self, other):
-        return self._with("-", other, self)
-
-    def __mul__(self, other):
-        return self._with("*", self, other)
-
-    def __rmul__(self, other):
-        return self._with("*", other, self)
-
-    def __truediv__(self, other):
-        return self._with("/", self, other)
-
-    def __rtruediv__(self, other):
-        return self._with("/", other, self)
-
     def __pow__(self, power):
         if power != int(power) or power < 1:
-            raise TypeError(f"the power {power} is no whole number of at least one")
+            raise TypeError(f"the power {power} is not a whole number of at least one")
         return self if power == 1 else self ** (power - 1) * self
 
     def __neg__(self):
@@ -74,16 +52,23 @@ class Symbol:
         raise TypeError("a symbol is neither true nor false")
 
 
+def _operator(kind):
+    return lambda self, other: self._with(kind, self, other), lambda self, other: self._with(kind, other, self)
+
+
 def _function(name):
     return lambda self: self._of(name, self)
 
 
-for _name in FUNCTIONS:  # NumPy's exp of an object is that object's method of the same name
+for _kind, _name in (("+", "add"), ("-", "sub"), ("*", "mul"), ("/", "truediv")):
+    for _prefix, _method in zip(("__", "__r"), _operator(_kind)):
+        setattr(Symbol, f"{_prefix}{_name}__", _method)
+for _name in FUNCTIONS:  # NumPy calls an object's method of the same name
     setattr(Symbol, _name, _function(_name))
 
 
 def _simpler(kind, a, b):
-    """What the operation comes to without computing, for numbers, 0 and 1; None otherwise."""
+    """The result, where numbers, 0 or 1 simplify the operation; None otherwise."""
     if a.kind == b.kind == "number" and not (kind == "/" and b.parts[0] == 0):
         x, y = a.parts[0], b.parts[0]
         return a.number({"+": x + y, "-": x - y, "*": x * y}[kind] if kind != "/" else x / y)
@@ -100,12 +85,12 @@ def _simpler(kind, a, b):
 
 
 def functions(dictionary):
-    """The N functions of a fitted dictionary as symbols of the scaled channels.
+    """The N functions of a fitted dictionary as expressions in the scaled channels.
 
     Raises
     ------
     ValueError
-        If its ``_fill`` does what has no formula here.
+        If its ``_fill`` uses an operation that symbols do not have.
 
     Examples
     --------
@@ -117,16 +102,17 @@ def functions(dictionary):
     table = {}
     channels = [Symbol("z", (i,), table) for i in range(dictionary.n_states_ + dictionary.n_inputs_)]
     try:
-        return [channels[0].number(function) for function in dictionary.lift(np.array(channels, dtype=object)[:, None])[:, 0]]
+        psi = dictionary.lift(np.array(channels, dtype=object)[:, None])[:, 0]
     except (TypeError, AttributeError) as error:
         raise ValueError(
-            f"dictionary {type(dictionary).__name__!r} cannot be written as formulas ({error}); its _fill may use +, -, *, /, whole powers and "
-            f"{', '.join(FUNCTIONS)}."
+            f"dictionary {type(dictionary).__name__!r} cannot be written as formulas ({error}); its _fill may use "
+            f"+, -, *, /, whole powers and {', '.join(FUNCTIONS)}."
         ) from error
+    return [channels[0].number(function) for function in psi]
 
 
 class Language(NamedTuple):
-    """How a language writes channels, functions of the dictionary and intermediate results, counted from ``first``, and operations."""
+    """How a language writes channels and functions (numbered from ``first``), intermediate results and operations."""
 
     channel: str
     function: str
@@ -141,37 +127,37 @@ MATLAB = Language("z({},:)", "psi({},:)", "", 1, ".*", "./")
 
 
 def literal(value):
-    """A number with as many digits as it takes to read the same bits back, 17 at most, and always a floating-point one."""
+    """A floating-point number with the fewest digits that read back the same bits, 17 at most."""
     return repr(float(value))
 
 
-def text(node, language, named=None):
-    """The expression in a language; ``named`` holds names of nodes that are computed already, by id."""
-    if named and id(node) in named:
-        return named[id(node)]
-    write = lambda part: text(part, language, named)  # noqa: E731
+def text(node, language, names=None):
+    """The expression in a language; ``names`` maps nodes that are computed already to their variables."""
+    if names and node in names:
+        return names[node]
+
+    def write(part, least=0):
+        inside = text(part, language, names)
+        return f"({inside})" if rank(part, names) < least else inside
+
     if node.kind == "number":
         return literal(node.parts[0])
     if node.kind == "z":
         return language.channel.format(node.parts[0] + language.first)
     if node.kind in FUNCTIONS:
         return f"{node.kind}({write(node.parts[0])})"
-    sums = [rank(part, named) == 1 for part in node.parts]
     if node.kind == "negative":
-        return f"-({write(node.parts[0])})" if sums[0] else f"-{write(node.parts[0])}"
-    left, right = map(write, node.parts)
+        return f"-{write(node.parts[0], 2)}"
+    a, b = node.parts
     if node.kind in "+-":
-        right = f"({right})" if sums[1] else right
-        return f"{left} {node.kind} {right}".replace(" + -", " - ") if node.kind == "+" else f"{left} - {right}"
-    # Brackets keep the order in which the dictionary itself computes.
-    left = f"({left})" if sums[0] else left
-    right = f"({right})" if rank(node.parts[1], named) < 3 else right
-    return left + (language.times if node.kind == "*" else language.over) + right
+        return f"{write(a)} {node.kind} {write(b, 2)}"
+    # Brackets keep the order in which the dictionary computes.
+    return write(a, 2) + (language.times if node.kind == "*" else language.over) + write(b, 3)
 
 
-def rank(node, named=None):
-    """1 for what needs brackets in a product, 2 for products, 3 for what never needs any."""
-    if named and id(node) in named:
+def rank(node, names=None):
+    """1 for what needs brackets in a product, 2 for products, 3 for what never needs brackets."""
+    if names and node in names:
         return 3
     if node.kind in ("+", "-", "negative") or node.kind == "number" and node.parts[0] < 0:
         return 1
@@ -179,12 +165,12 @@ def rank(node, named=None):
 
 
 def ordered(nodes):
-    """Every node that ``nodes`` are made of, parts before what is made of them, and how many use each, by id."""
+    """All nodes within ``nodes``, parts before wholes, and how often each is used."""
     uses, order = {}, []
 
     def visit(node):
-        uses[id(node)] = uses.get(id(node), 0) + 1
-        if uses[id(node)] == 1:
+        uses[node] = uses.get(node, 0) + 1
+        if uses[node] == 1:
             for part in node.parts:
                 if isinstance(part, Symbol):
                     visit(part)
@@ -195,29 +181,23 @@ def ordered(nodes):
     return order, uses
 
 
-def channels_in(node):
-    """The channels that an expression depends on."""
-    return {part.parts[0] for part in ordered([node])[0] if part.kind == "z"}
-
-
 def code(nodes, language):
-    """Statements that compute all ``nodes``, what several of them need once: list of str."""
+    """Statements that compute all ``nodes``, each common part once: list of str."""
     order, uses = ordered(nodes)
-    own = {}
-    for k, node in enumerate(nodes):
-        own.setdefault(id(node), k)
-    named, lines, temporaries = {}, [], 0
+    functions = [language.function.format(k + language.first) for k in range(len(nodes))]
+    results = {node: name for node, name in reversed(list(zip(nodes, functions)))}  # the first of equal nodes
+    names, lines, temporaries = {}, [], 0
     for node in order:
-        if id(node) in own:
-            name = language.function.format(own[id(node)] + language.first)
-            lines.append(f"{name} = {text(node, language, named)};")
-        elif uses[id(node)] > 1 and node.kind not in ("number", "z"):
+        leaf = node.kind in ("number", "z")
+        if node in results:
+            name = results[node]
+            lines.append(f"{name} = {text(node, language, names)};")
+        elif uses[node] > 1 and not leaf:
             temporaries += 1
             name = f"t{temporaries}"
-            lines.append(f"{language.declaration}{name} = {text(node, language, named)};")
+            lines.append(f"{language.declaration}{name} = {text(node, language, names)};")
         else:
             continue
-        if node.kind not in ("number", "z"):
-            named[id(node)] = name
-    copies = [(k, own[id(node)]) for k, node in enumerate(nodes) if own[id(node)] != k]
-    return lines + [f"{language.function.format(k + language.first)} = {language.function.format(j + language.first)};" for k, j in copies]
+        if not leaf:
+            names[node] = name
+    return lines + [f"{f} = {results[node]};" for node, f in zip(nodes, functions) if results[node] != f]
