@@ -18,7 +18,10 @@ from tras.staleness import Package, digest
 
 @functools.cache
 def code_digest(*modules):
-    """Digest of modules of this package and of all that they need in turn, as syntax trees, with Python's and the libraries' versions."""
+    """Digest of modules, of all that they need in turn, and of the versions of Python and the libraries.
+
+    The modules count as `tras.staleness` reads them: without comments and docstrings.
+    """
     from tras.recording import versions
 
     package, parts = _package(), {}
