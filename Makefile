@@ -160,9 +160,9 @@ readme: $(READY) ## write the table into README.md, the errors into docs/paper.m
 bench: $(READY) ## beside other packages: time, memory, accuracy; BENCH="--help" lists parts of it
 	@$(PY) -m benchmarks.bench $(BENCH)
 
-clean: ## remove build/ and the generated data (figures/ stays: it is in git)
+clean: ## remove build/ and what is generated and not in git (of the figures PNG and CSV are in git and stay)
 	rm -rf build
-	rm -f $(filter data/%,$(OUTPUTS))
+	rm -f $(filter data/% figures/%.pdf figures/%.svg,$(OUTPUTS))
 	rm -rf data/cache
 	rm -rf $(addsuffix provenance,$(sort $(dir $(OUTPUTS))))
 	@rmdir data/models 2>/dev/null || true
