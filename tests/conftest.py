@@ -74,6 +74,6 @@ def ode_recording(field, dt, *, n, m=0, trajectories=40, samples=21, size=1.0, s
     for i in range(trajectories):
         for k in range(samples - 1):
             held = u[i, k]
-            flow = solve_ivp(lambda t, s: field(s, held), (0, dt), x[i, k], method="DOP853", rtol=1e-12, atol=1e-13)
+            flow = solve_ivp(lambda t, s, held=held: field(s, held), (0, dt), x[i, k], method="DOP853", rtol=1e-12, atol=1e-13)
             x[i, k + 1] = flow.y[:, -1]
     return tras.Recording(x, u, dt)

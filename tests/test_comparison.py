@@ -131,7 +131,7 @@ def test_figures_hold_every_method(results):
         for panel in figure.axes:
             names = [text.get_text().split(" (")[0] for text in panel.texts]
             assert set(names) == (set(FEW) if "reference" not in panel.get_title(loc="left") else set(FEW[:2]))
-    assert len({style for style in figures_comparison.STYLES.values()}) == len(comparison.METHODS) == len({style[0] for style in figures_comparison.STYLES.values()})
+    assert len(set(figures_comparison.STYLES.values())) == len(comparison.METHODS) == len({style[0] for style in figures_comparison.STYLES.values()})
 
 
 @pytest.mark.parametrize("draw", [figures_comparison.horizon_figure, figures_comparison.data_figure, figures_comparison.pareto_figure])

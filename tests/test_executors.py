@@ -133,7 +133,8 @@ def test_a_worker_that_comes_later_is_compared_too(cluster, monkeypatch):
         list(executors.run(square(), JOBS, (0,), scheduler=cluster.scheduler_address, alike=differing("2", "1")))
 
 
-def differing(here, there, pid=os.getpid()):
+def differing(here, there):
+    pid = os.getpid()
     return lambda: {"version": here if os.getpid() == pid else there}
 
 

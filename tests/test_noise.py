@@ -21,7 +21,7 @@ def pendulum(samples=400, trajectories=4, dt=0.02, seed=0):
     x[:, 0] = rng.uniform(-1, 1, (trajectories, 2))
     for k in range(samples - 1):
         flow = integrate.solve_ivp(
-            lambda t, s: np.concatenate([s[trajectories:], -3 * np.sin(s[:trajectories]) - 0.3 * s[trajectories:] + u[:, k, 0]]),
+            lambda t, s, u=u[:, k, 0]: np.concatenate([s[trajectories:], -3 * np.sin(s[:trajectories]) - 0.3 * s[trajectories:] + u]),
             (0, dt), x[:, k].T.ravel(), rtol=1e-9, atol=1e-10,
         )  # fmt: skip
         x[:, k + 1] = flow.y[:, -1].reshape(2, -1).T

@@ -261,7 +261,7 @@ def test_a_kernel_and_its_workers_end_with_a_runner_that_is_killed(tmp_path):
     process.kill()
     process.wait()
     for number in started.read_text().split():
-        wait_for(lambda: not running(number), 5)
+        wait_for(lambda number=number: not running(number), 5)
 
 
 def running(number):

@@ -113,7 +113,7 @@ def test_no_small_feasible_change_is_much_better():
         S /= np.linalg.norm(S)
         M = S @ A @ np.linalg.inv(S)
         assert np.linalg.norm(M, 2) <= 1 + 1e-6
-        for k in range(400):
+        for _ in range(400):
             size = 10.0 ** rng.uniform(-6, -1)
             U, s, V = np.linalg.svd(M + size * rng.normal(size=(N, N)))
             T = S + size * np.linalg.svd(S, compute_uv=False)[-1] * rng.normal(size=(N, N))

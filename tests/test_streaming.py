@@ -404,7 +404,7 @@ def one_of(recording, k):
         (lambda r, p: plain().fit([p, r.select(inputs=["u_phi"])]), "recording 1 has input_names"),
         (lambda r, p: plain().fit(r, chunk=0), "chunk = 0; give the number"),
         (lambda r, p: plain().fit(p, chunk=CHUNK, ranges={"phi": (0, 1)}), "ranges holds no pair .lowest, highest. for the channel 'phidot'"),
-        (lambda r, p: plain().fit(p, ranges={n: (1, 0) for n in (*r.state_names, *r.input_names)}), r"ranges has \(1, 0\) for the channel 'phi'"),
+        (lambda r, p: plain().fit(p, ranges=dict.fromkeys((*r.state_names, *r.input_names), (1, 0))), r"ranges has \(1, 0\) for the channel 'phi'"),
         (lambda r, p: plain("vector_field", field="least_squares").fit(p, chunk=CHUNK), "field is 'least_squares', which needs all data in memory"),
         (lambda r, p: plain().fit(p, chunk=CHUNK, checkpoint="a.txt"), "checkpoint a.txt ends in '.txt'; use the ending .npz"),
         (lambda r, p: plain(delays=3).fit(p, chunk=CHUNK), "trajectory 3 has 3 samples, too few for 3 delays"),

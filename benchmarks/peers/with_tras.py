@@ -1,6 +1,5 @@
 """This package, in its own environment. Variants: ``koopman_matrix``, the same on all processors, or the options of a `tras.KoopmanModel`."""
 
-import numpy as np
 import tras
 from tras import koopman
 
