@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+from conftest import ROOT
 
-ROOT = Path(__file__).parent.parent
 PATIENCE = 60_000  # ms: a busy machine is slow, not wrong
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from conftest import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,7 +18,6 @@ from tras import choice, explore, figures_explore, parameters, profile, readings
 from tras.choice import Choice, ChoiceError
 from tras.widgets import Explorer
 
-ROOT = Path(__file__).parent.parent
 SMALL = Choice(duration=60.0, input="torque", horizon=3.0)
 PUBLISHED = ROOT / "reference" / "data" / "metrics.csv"
 

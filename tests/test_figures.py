@@ -3,20 +3,18 @@
 import subprocess
 import sys
 from functools import partial
-from pathlib import Path
 
 import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from conftest import ROOT, visible_texts
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 
 from tras import drawings, figures, figures_explore, figures_readings, rig
 
-FIGURES = Path(__file__).parent.parent / "figures"
+FIGURES = ROOT / "figures"
 
 G = 9.81
 MASSES = {"main_mass": 0.32306, "tail_mass": 0.27850, "left_weight_mass": 0.01908, "right_weight_mass": 0.01908}  # kg
@@ -161,20 +159,6 @@ def test_unknown_part_is_named():
 # -------------------------------------------------------------------------------------------------------- appearance
 
 
-def visible_texts(figure):
-    """Draw a figure; return the renderer and all texts that show, without the ticks beyond the ends of an axis."""
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    hidden = set()
-    for axes in figure.axes:
-        for axis in (axes.xaxis, axes.yaxis):
-            low, high = sorted(axis.get_view_interval())
-            ticks = axis.get_major_ticks() + axis.get_minor_ticks()
-            hidden |= {t for tick in ticks if not (axes.axison and low <= tick.get_loc() <= high) for t in tick.findobj(Text)}
-    texts = [t for t in figure.findobj(Text) if t not in hidden and t.get_visible() and t.get_text().strip()]
-    return canvas.get_renderer(), texts
-
-
 @CASES
 def test_figure_is_one_column_wide_with_everything_inside(case):
     figure, _ = case()
@@ -288,4 +272,4 @@ def test_figures_do_without_pyplot():
         "import sys; from tras import drawings, figures, rig; drawings.rig_figure(rig.rig_geometry(0.3, 0.6)); figures.new_figure(rows=2);"
         "sys.exit('matplotlib.pyplot' in sys.modules)"
     )
-    assert subprocess.run([sys.executable, "-c", code], cwd=rig.__file__.rsplit("tras", 1)[0]).returncode == 0
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0

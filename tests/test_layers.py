@@ -1,12 +1,11 @@
 """The layers of the house: which room of `tras/` may import which. CONTRIBUTING.md has the map."""
 
 import graphlib
-from pathlib import Path
 
 import pytest
+from conftest import ROOT
 
 from tras import staleness
-from tras.files import project_root
 
 FLAT_FILES = 15  # at most; what a stranger reads in an hour
 METHOD = "flat dictionaries solver io"
@@ -59,9 +58,9 @@ def problems(graph):
     return sentences
 
 
-@pytest.mark.skipif(not (project_root(Path(__file__).parent) / "tras" / "solver").is_dir(), reason="the files are not in their rooms yet")
+@pytest.mark.skipif(not (ROOT / "tras" / "solver").is_dir(), reason="the files are not in their rooms yet")
 def test_every_import_goes_down():
-    assert problems(imports(project_root(Path(__file__).parent) / "tras")) == []
+    assert problems(imports(ROOT / "tras")) == []
 
 
 # Files of a small package, and what is said of it.

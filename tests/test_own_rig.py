@@ -5,14 +5,13 @@ import re
 import shutil
 import subprocess
 import xml.etree.ElementTree as ElementTree
-from pathlib import Path
 
 import pandas as pd
 import pytest
+from conftest import ROOT
 
 import tras
 
-ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "own_rig.md").read_text()
 NAME = "{http://www.w3.org/1999/xhtml}"
 

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.stats
-from test_figures import visible_texts
+from conftest import visible_texts
 
 import tras
 from tras import benchmark_systems, figures, operator_study, physics, robustness, validation

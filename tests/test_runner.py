@@ -13,6 +13,7 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from conftest import ROOT
 
 from tras import files, parameters, provenance, runner
 
@@ -235,7 +236,7 @@ def test_an_interrupted_run_leaves_nothing_under_the_final_name(tmp_path, number
     notebook = write_notebook(tmp_path / "notebooks" / "a.ipynb", "n = 1", code)
     process = subprocess.Popen(
         [sys.executable, "-m", "tras.runner", notebook, executed],
-        cwd=Path(runner.__file__).parent.parent,
+        cwd=ROOT,
         stderr=subprocess.PIPE,
         text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a test run in the background ignores it
@@ -256,7 +257,7 @@ def test_a_kernel_and_its_workers_end_with_a_runner_that_is_killed(tmp_path):
     code += "final.with_suffix('.part').write_text(f'{os.getpid()} {worker.pid}')\nfinal.with_suffix('.part').rename(final)\nwhile True: pass"
     notebook = write_notebook(tmp_path / "notebooks" / "a.ipynb", "n = 1", code)
     command = [sys.executable, "-m", "tras.runner", notebook, tmp_path / "build" / "a.ipynb"]
-    process = subprocess.Popen(command, cwd=Path(runner.__file__).parent.parent)
+    process = subprocess.Popen(command, cwd=ROOT)
     wait_for(started.exists)
     process.kill()
     process.wait()
@@ -294,4 +295,4 @@ def test_project_root_is_found_from_below(tmp_path):
 
 def test_importing_the_runner_does_not_import_papermill():
     code = "import sys, tras.runner; sys.exit('papermill' in sys.modules or 'numpy' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], cwd=Path(runner.__file__).parent.parent).returncode == 0
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0

@@ -7,7 +7,7 @@ import signal
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import linear_system
+from conftest import ROOT, linear_system
 
 import tras
 from tras import cache, executors, figures_sweep, sweep_grid, sweep_point, sweep_run, sweeps
@@ -370,7 +370,7 @@ def test_dictionaries_as_yaml_has_them():
 
 
 def test_the_command_makes_table_and_figure_and_goes_on(tmp_path, capsys, monkeypatch):
-    call = [str(sweep_run.Path(__file__).parent.parent / "params" / "sweeps" / "smoke.yaml"), "--out", str(tmp_path), "--scheduler", "none"]
+    call = [str(ROOT / "params" / "sweeps" / "smoke.yaml"), "--out", str(tmp_path), "--scheduler", "none"]
     assert sweep_run.main(call) == 0
     said = capsys.readouterr().out
     assert "13 fits, 12 with a model" in said and "Mechanical(degree=4), N = 45, predictor vector_field" in said.splitlines()[1] and "table.csv" in said
@@ -429,10 +429,10 @@ def test_roles_no_file_no_model_and_ctrl_c(recording, tmp_path, capsys, monkeypa
 
 
 def test_the_description_in_the_documentation_is_one():
-    text = (sweep_run.Path(__file__).parent.parent / "docs" / "scale.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "scale.md").read_text(encoding="utf-8")
     block = text.partition("```yaml\n")[2].partition("```")[0]
     given = sweep_run._checked(sweep_run.Description, sweep_run.parse_yaml(block, "docs/scale.md"), "").arguments()
     assert given["recording"] == ["monday.nc", "tuesday.nc"] and given["held_out"] == ["friday.nc"]
     assert len(points(given["grid"])) == 4 * 2 * 2 * 2 * 2
-    default = sweep_run.read(sweep_run.Path(__file__).parent.parent / "params" / "sweeps" / "dictionaries.yaml")
+    default = sweep_run.read(ROOT / "params" / "sweeps" / "dictionaries.yaml")
     assert len(points(default.models)) == 96  # as the documentation says

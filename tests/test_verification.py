@@ -11,10 +11,11 @@ import matplotlib.image
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import ROOT
 from PIL import Image
 
 import tras
-from tras import artefacts, files, verification
+from tras import artefacts, verification
 
 FILES = [
     *map(Path, ("data/table.csv", "data/long.csv", "data/run.nc", "data/model.npz")),
@@ -225,13 +226,12 @@ def test_equal_bytes_need_no_git(project, capsys):
 
 def test_git_has_the_figures_that_the_reference_names():
     """Otherwise another machine has nothing to compare them with."""
-    root = files.project_root(Path(verification.__file__).parent)
     command = ["git", "ls-tree", "-r", "--name-only", "HEAD", "figures", "reference"]
-    tree = subprocess.run(command, cwd=root, capture_output=True, text=True)
+    tree = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     if tree.returncode:
         pytest.skip("this is no git repository")
     names = set(tree.stdout.split())
-    contents = {name: subprocess.run(["git", "show", f"HEAD:./{name}"], cwd=root, capture_output=True).stdout for name in names}
+    contents = {name: subprocess.run(["git", "show", f"HEAD:./{name}"], cwd=ROOT, capture_output=True).stdout for name in names}
     sums = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items() if name.startswith("figures/")}
     manifest = contents["reference/SHA256SUMS"].decode().splitlines()
     expected = dict(reversed(line.split("  ")) for line in manifest if "figures/" in line)
@@ -304,4 +304,4 @@ def test_a_line_moved_by_its_width_looks_different(tmp_path, monkeypatch):
 
 def test_equal_bytes_need_no_numpy():
     code = "import sys, tras.verification; sys.exit('numpy' in sys.modules or 'matplotlib' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], cwd=Path(verification.__file__).parent.parent).returncode == 0
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
