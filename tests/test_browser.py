@@ -12,6 +12,7 @@ import pytest
 import yaml
 from conftest import ROOT
 
+pytestmark = pytest.mark.slow
 PATIENCE = 60_000  # ms: a busy machine is slow, not wrong
 
 

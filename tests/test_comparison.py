@@ -33,6 +33,7 @@ def test_every_method_has_as_many_settings_and_each_is_another():
         assert all(clone(model).get_params().keys() == model.get_params().keys() for model in models)
 
 
+@pytest.mark.slow
 def test_every_case_is_there(results, study):
     cases = comparison.jobs(study)
     assert len(cases) == 2 * 3 - 1 + 3 * 3  # without the grey box on references; noise twice and one fraction for the torque

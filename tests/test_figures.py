@@ -160,6 +160,7 @@ def test_unknown_part_is_named():
 
 
 @CASES
+@pytest.mark.slow
 def test_figure_is_one_column_wide_with_everything_inside(case):
     figure, _ = case()
     assert figure.get_figwidth() == 3.5

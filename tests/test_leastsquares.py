@@ -561,6 +561,7 @@ def narrow_functions(rows, p=300):
 
 
 @pytest.mark.parametrize("alone", [False, True])
+@pytest.mark.slow
 def test_more_blocks_make_the_first_basis_where_one_is_few_rows(alone):
     """Two of 4100 rows for 300 functions; any number of threads gives the same bits, as good as QR; an emptied solver keeps the basis."""
     X, Y, blocks = narrow_functions(5 * 4100)

@@ -87,6 +87,7 @@ def test_slow_sampling_gets_more_steps():
 @settings(max_examples=8, deadline=None)
 @given(factors=st.lists(st.floats(1e-4, 1e4), min_size=6, max_size=6), shifts=st.lists(st.floats(-100, 100), min_size=6, max_size=6))
 @pytest.mark.parametrize("predictor", PREDICTORS)
+@pytest.mark.slow
 def test_units_do_not_matter(predictor, torque_data, factors, shifts):
     """Degrees, millimetres, an encoder's zero: the prediction is the same in the new units (shifts in units of the range)."""
     factors, shifts = np.array(factors), np.array(shifts)

@@ -186,6 +186,7 @@ for path in {paths!r}:
 """
 
 
+@pytest.mark.slow
 def test_provenance_lies_beside_each_artefact(tmp_path, capsys):
     outputs = [tmp_path / "data" / "a.csv", tmp_path / "data" / "models" / "a.npz", tmp_path / "figures" / "a.csv"]
     path = write_notebook(tmp_path / "notebooks" / "a.ipynb", "seed = 1\nn = 2.0", WRITES.format(paths=list(map(str, outputs))))
@@ -230,6 +231,7 @@ def test_the_state_of_git(tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.slow
 def test_an_interrupted_run_leaves_nothing_under_the_final_name(tmp_path, number):
     started, executed = tmp_path / "started", tmp_path / "build" / "a.ipynb"
     code = f"import os, pathlib\npathlib.Path({str(started)!r}).write_text(str(os.getpid()))\nwhile True: pass"
@@ -251,6 +253,7 @@ def test_an_interrupted_run_leaves_nothing_under_the_final_name(tmp_path, number
     wait_for(lambda: not Path(f"/proc/{kernel}").exists())
 
 
+@pytest.mark.slow
 def test_a_kernel_and_its_workers_end_with_a_runner_that_is_killed(tmp_path):
     started = tmp_path / "started"
     code = f"import os, pathlib, subprocess\nworker = subprocess.Popen(['sleep', '60'])\nfinal = pathlib.Path({str(started)!r})\n"

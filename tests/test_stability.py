@@ -45,6 +45,7 @@ def clipped_cost(R, free, constant, radius):
 
 @pytest.mark.parametrize("constant", [True, False])
 @pytest.mark.parametrize("radius", [1.0, 0.9])
+@pytest.mark.slow
 def test_constraint_holds_and_costs_less_than_clipping(constant, radius):
     ratios = []
     for seed in range(30):
@@ -151,6 +152,7 @@ def det(a):
     return a[0] * a[3] - a[1] * a[2]
 
 
+@pytest.mark.slow
 def test_against_brute_force_over_all_2x2_matrices():
     ratios = []
     for seed in range(40):

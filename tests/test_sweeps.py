@@ -103,6 +103,7 @@ def test_the_rest_of_a_thinned_trajectory_is_averaged_too():
     assert sweep_point._thinned(tras.Recording([np.arange(8.0)[:, None]], None, 0.5), 3).inputs.shape == (1, 3, 0)
 
 
+@pytest.mark.slow
 def test_held_out_files_and_windows(path, recording, tmp_path):
     """A second recording to judge by: nothing is split. Files larger than a chunk are read in pieces."""
     recording[:5].write(tmp_path / "held.nc")
@@ -152,6 +153,7 @@ def test_windows_that_diverge_are_counted_and_left_out_of_nrmse_only(recording, 
 # ---------------------------------------------------------------------------------------------------------------------- where it runs
 
 
+@pytest.mark.slow
 def test_dask_gives_the_same_table_and_a_killed_worker_changes_nothing(path, recording, computed, cluster, tmp_path, monkeypatch):
     marker, evaluate = tmp_path / "marker", sweep_point.evaluate
 
@@ -169,6 +171,7 @@ def test_dask_gives_the_same_table_and_a_killed_worker_changes_nothing(path, rec
     assert same(run(recording, GRID[1], scheduler=cluster.scheduler_address), run(path, GRID[1]))  # recordings are sent
 
 
+@pytest.mark.slow
 def test_local_processes_give_the_same_table(path, computed):
     assert same(run(path, scheduler="processes", processes=1), computed[1])
 
@@ -292,6 +295,7 @@ def test_a_worker_that_sees_another_file_is_named(path, tmp_path, monkeypatch):
         run(copy)
 
 
+@pytest.mark.slow
 def test_other_code_on_a_worker_is_named(path, cluster, monkeypatch):
     monkeypatch.setattr(sweeps.results_cache, "code_digest", lambda *_: "changed here")
     with pytest.raises(executors.SchedulerError, match="worker tcp://.* has the code of tras in the state .* but changed here is needed"):
@@ -369,6 +373,7 @@ def test_dictionaries_as_yaml_has_them():
 # ------------------------------------------------------------------------------------------------------------------- the command
 
 
+@pytest.mark.slow
 def test_the_command_makes_table_and_figure_and_goes_on(tmp_path, capsys, monkeypatch):
     call = [str(ROOT / "params" / "sweeps" / "smoke.yaml"), "--out", str(tmp_path), "--scheduler", "none"]
     assert sweep_run.main(call) == 0
