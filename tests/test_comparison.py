@@ -78,6 +78,7 @@ def test_noise_and_fraction_reach_the_training_data(study, recordings):
     assert np.allclose(errors[0], 0.01, rtol=0.1) and (errors[1] < errors[0] / 2).all()
 
 
+@pytest.mark.slow
 def test_processes_and_the_cache_change_nothing(study, recordings, tmp_path, monkeypatch):
     small = comparison.Study(trajectory=1.0, window=1.0, middle=0.5, fractions=(), data_inputs=(), methods=("DMDc",))
     one = comparison.run(small, *recordings, tmp_path / "one", processes=1)

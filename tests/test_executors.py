@@ -66,6 +66,7 @@ def test_a_killed_worker_costs_time_only(elsewhere, tmp_path):
     assert (tmp_path / "marker").exists()
 
 
+@pytest.mark.slow
 def test_a_job_that_kills_every_worker_is_lost_and_the_others_are_done(elsewhere, cluster, tmp_path):
     allowed, cluster.scheduler.allowed_failures = cluster.scheduler.allowed_failures, 0  # for speed
     try:

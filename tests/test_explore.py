@@ -250,6 +250,7 @@ def words(widget):
     return re.sub("<[^>]+>", "", widget.value)
 
 
+@pytest.mark.slow
 def test_a_control_changes_picture_numbers_and_message(panel):
     panel.set(SMALL)
     before = panel.picture.value, panel.table.value
@@ -315,6 +316,7 @@ def test_the_button_writes_the_choice(panel):
     assert choice.choice_of(yaml.safe_load((panel.folder / "own-1.yaml").read_text())["09_pictures"]["choice"]) == SMALL
 
 
+@pytest.mark.slow
 def test_the_notebook_runs_from_its_own_folder(monkeypatch):
     """Its cells one after the other, without a kernel; tests/test_browser.py does it in JupyterLab."""
     monkeypatch.chdir(ROOT / "notebooks")

@@ -107,6 +107,7 @@ def test_thrust_arrows_have_positive_moments_about_their_axes():
 
 @pytest.mark.parametrize("phi", [-1.2, -0.5, 0.0, 0.36, 1.2])
 @pytest.mark.parametrize("psi", [-3.0, -1.0, 0.6, 2.0])
+@pytest.mark.slow
 def test_nearer_parts_are_drawn_later(phi, psi):
     """Rays through the picture: of all bodies that a ray meets, the one met first must be the last one drawn."""
     table = rig.rig_geometry(phi, psi)
