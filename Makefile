@@ -78,10 +78,11 @@ LOCKED := $(shell { sha256sum environment.txt || shasum -a 256 environment.txt; 
 READY := .venv/.ready-$(LOCKED)
 PY := .venv/bin/python
 
-.PHONY: help setup all stages paper figures report sweep smoke test verify bless lab lock readme clean distclean bench identify example FORCE
+.PHONY: help setup all stages paper figures report sweep smoke lint check test verify bless lab lock readme clean distclean bench bench-test identify \
+  example FORCE
 
 help: ## list the targets (this text)
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
 	@echo "Another parameter set: make all PROFILE=NAME reads params/NAME.yaml and writes below build/NAME/."
 
 setup: $(READY) ## create .venv from environment.txt (the other targets do it by themselves)
@@ -119,6 +120,13 @@ example: $(READY) ## recordings of two simulated systems to try it on, in build/
 smoke: $(READY) ## the same stages, small, below build/smoke/
 	@$(MAKE) PROFILE=smoke stages
 
+lint: $(READY) ## ruff, as configured in pyproject.toml
+	@$(PY) -m ruff check
+	@$(PY) -m ruff format --check
+
+check: lint ## two minutes for a developer: lint, layers, and every test that is not slow
+	@MPLBACKEND=Agg $(PY) -m pytest -q -x -m "not slow"
+
 test: $(READY) ## unit tests, then every notebook of the small profile rerun and compared
 	@status=0; \
 	MPLBACKEND=Agg $(PY) -m pytest || status=1; \
@@ -153,12 +161,15 @@ readme: $(READY) ## write the tables of README.md and docs/paper.md
 	@$(MAKE) PROFILE=paper stages
 	@$(PY) -m tras.tables --write
 
+bench-test: $(READY) ## tests of the harness of make bench
+	@$(PY) -m pytest benchmarks/tests
+
 bench: $(READY) ## beside other packages: time, memory, accuracy; BENCH="--help" lists parts of it
 	@$(PY) -m benchmarks.bench $(BENCH)
 
-clean: ## remove build/ and the generated data (figures/ stays: it is in git)
+clean: ## remove build/ and what is generated and not in git (of the figures PNG and CSV are in git and stay)
 	rm -rf build
-	rm -f $(filter data/%,$(OUTPUTS))
+	rm -f $(filter data/% figures/%.pdf figures/%.svg,$(OUTPUTS))
 	rm -rf data/cache
 	rm -rf $(addsuffix provenance,$(sort $(dir $(OUTPUTS))))
 	@rmdir data/models 2>/dev/null || true

@@ -2,11 +2,14 @@
 
 import os
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import tras
+
+ROOT = Path(__file__).parent.parent
 
 
 @pytest.fixture(scope="session")
@@ -74,6 +77,23 @@ def ode_recording(field, dt, *, n, m=0, trajectories=40, samples=21, size=1.0, s
     for i in range(trajectories):
         for k in range(samples - 1):
             held = u[i, k]
-            flow = solve_ivp(lambda t, s: field(s, held), (0, dt), x[i, k], method="DOP853", rtol=1e-12, atol=1e-13)
+            flow = solve_ivp(lambda t, s, held=held: field(s, held), (0, dt), x[i, k], method="DOP853", rtol=1e-12, atol=1e-13)
             x[i, k + 1] = flow.y[:, -1]
     return tras.Recording(x, u, dt)
+
+
+def visible_texts(figure):
+    """Draw a figure; return the renderer and all texts that show, without the ticks beyond the ends of an axis."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.text import Text
+
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    hidden = set()
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            ticks = axis.get_major_ticks() + axis.get_minor_ticks()
+            hidden |= {t for tick in ticks if not (axes.axison and low <= tick.get_loc() <= high) for t in tick.findobj(Text)}
+    texts = [t for t in figure.findobj(Text) if t not in hidden and t.get_visible() and t.get_text().strip()]
+    return canvas.get_renderer(), texts

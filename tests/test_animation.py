@@ -75,6 +75,7 @@ def test_a_prediction_that_ran_away_leaves_the_truth_alone():
     assert sorted(each.get_zorder() for each in scene.rig.collections) == [1, 2, 3]
 
 
+@pytest.mark.slow
 def test_the_gif_has_all_frames_at_its_rate_and_the_same_bytes_again(tmp_path):
     film = animation.film(overlay(), rate=5)
     first, second = (animation.gif(film, tmp_path / name, rate=5) for name in ("a.gif", "b.gif"))

@@ -33,6 +33,7 @@ def test_every_method_has_as_many_settings_and_each_is_another():
         assert all(clone(model).get_params().keys() == model.get_params().keys() for model in models)
 
 
+@pytest.mark.slow
 def test_every_case_is_there(results, study):
     cases = comparison.jobs(study)
     assert len(cases) == 2 * 3 - 1 + 3 * 3  # without the grey box on references; noise twice and one fraction for the torque
@@ -77,6 +78,7 @@ def test_noise_and_fraction_reach_the_training_data(study, recordings):
     assert np.allclose(errors[0], 0.01, rtol=0.1) and (errors[1] < errors[0] / 2).all()
 
 
+@pytest.mark.slow
 def test_processes_and_the_cache_change_nothing(study, recordings, tmp_path, monkeypatch):
     small = comparison.Study(trajectory=1.0, window=1.0, middle=0.5, fractions=(), data_inputs=(), methods=("DMDc",))
     one = comparison.run(small, *recordings, tmp_path / "one", processes=1)
@@ -131,7 +133,7 @@ def test_figures_hold_every_method(results):
         for panel in figure.axes:
             names = [text.get_text().split(" (")[0] for text in panel.texts]
             assert set(names) == (set(FEW) if "reference" not in panel.get_title(loc="left") else set(FEW[:2]))
-    assert len({style for style in figures_comparison.STYLES.values()}) == len(comparison.METHODS) == len({style[0] for style in figures_comparison.STYLES.values()})
+    assert len(set(figures_comparison.STYLES.values())) == len(comparison.METHODS) == len({style[0] for style in figures_comparison.STYLES.values()})
 
 
 @pytest.mark.parametrize("draw", [figures_comparison.horizon_figure, figures_comparison.data_figure, figures_comparison.pareto_figure])

@@ -47,6 +47,7 @@ def test_the_fit_has_the_bits_of_the_file(path, dataset, options):
 
 
 @pytest.mark.parametrize("opened", OPENED[::2], ids=["lazy", "chunks"])
+@pytest.mark.slow
 def test_workers_are_sent_a_name_or_a_graph(path, cluster, opened):
     with xarray.open_dataset(path, engine="h5netcdf", **opened) as dataset:
         spread = model().fit(dataset, chunk=CHUNK, parts=3, scheduler=cluster.scheduler_address)

@@ -91,6 +91,7 @@ def test_a_worker_killed_on_the_way_costs_time_only(paths, cluster, tmp_path, mo
     assert (tmp_path / "marker").exists()
 
 
+@pytest.mark.slow
 def test_one_local_process_has_the_same_bits(paths, monkeypatch):
     monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")
     assert same(model().fit(paths, chunk=CHUNK, parts=4), model().fit(paths, chunk=CHUNK, parts=4, scheduler="processes"))

@@ -23,6 +23,7 @@ def fitted(recording):
     return KoopmanModel(Monomials(1), "one_step", regularization=None).fit(recording)
 
 
+@pytest.mark.slow
 def test_coverage_is_what_was_asked_for():
     """Of forty recordings of the same system, the bands hold the exact trajectory about as often as they say.
 

@@ -68,6 +68,7 @@ def test_a_killed_worker_costs_time_only(elsewhere, tmp_path):
     assert (tmp_path / "marker").exists()
 
 
+@pytest.mark.slow
 def test_a_job_that_kills_every_worker_is_lost_and_the_others_are_done(elsewhere, cluster, tmp_path):
     allowed, cluster.scheduler.allowed_failures = cluster.scheduler.allowed_failures, 0  # for speed
     try:
@@ -135,7 +136,8 @@ def test_a_worker_that_comes_later_is_compared_too(cluster, monkeypatch):
         list(executors.run(square(), JOBS, (0,), scheduler=cluster.scheduler_address, alike=differing("2", "1")))
 
 
-def differing(here, there, pid=os.getpid()):
+def differing(here, there):
+    pid = os.getpid()
     return lambda: {"version": here if os.getpid() == pid else there}
 
 

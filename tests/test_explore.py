@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from conftest import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,7 +18,6 @@ from tras import choice, explore, figures_explore, parameters, readings
 from tras.choice import Choice, ChoiceError
 from tras.widgets import Explorer
 
-ROOT = Path(__file__).parent.parent
 SMALL = Choice(duration=60.0, input="torque", horizon=3.0)
 PUBLISHED = ROOT / "reference" / "data" / "metrics.csv"
 
@@ -258,6 +258,7 @@ def words(widget):
     return re.sub("<[^>]+>", "", widget.value)
 
 
+@pytest.mark.slow
 def test_a_control_changes_picture_numbers_and_message(panel):
     panel.set(SMALL)
     before = panel.picture.value, panel.table.value
@@ -323,6 +324,7 @@ def test_the_button_writes_the_choice(panel):
     assert choice.choice_of(yaml.safe_load((panel.folder / "own-1.yaml").read_text())["09_pictures"]["choice"]) == SMALL
 
 
+@pytest.mark.slow
 def test_the_notebook_runs_from_its_own_folder(monkeypatch):
     """Its cells one after the other, without a kernel; tests/test_browser.py does it in JupyterLab."""
     monkeypatch.chdir(ROOT / "notebooks")

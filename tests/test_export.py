@@ -5,17 +5,15 @@ import re
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import latex2mathml.converter
 import numpy as np
 import pytest
-from conftest import linear_system, ode_recording
+from conftest import ROOT, linear_system, ode_recording
 from scipy.io import loadmat, savemat
 
 import tras
 from tras import export, symbols
-from tras.files import project_root
 
 CC = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 OCTAVE = shutil.which("octave-cli") or shutil.which("octave")
@@ -427,7 +425,7 @@ def test_brackets_stand_where_they_must(experiment):
 
 def test_the_pages_examples_run(experiment, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    page = (project_root(Path(__file__).parent) / "docs" / "export.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "export.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     known = {"recording": experiment[:4].select(inputs=["u_phi", "u_psi"])}
     exec("\n".join(blocks), known)

@@ -15,8 +15,8 @@ import tras
 from tras import dictionary as dictionaries
 from tras import koopman
 from tras.dictionary import Dictionary
-from tras.leastsquares import least_squares
 from tras.generator import LogarithmError, branch_distance, generator, principal_logarithm
+from tras.leastsquares import least_squares
 
 A4 = np.array([[0, 1, 0, 0], [-3, -0.4, 0.2, 0], [0, 0, 0, 1], [0.1, 0, -1, -0.3]])
 B4 = np.array([[0, 0], [2, 0], [0, 0], [0, 1.5]])

@@ -18,7 +18,6 @@ from tras.leastsquares import StreamingLeastSquares, least_squares, panels_of_a_
 from tras.regularization import regularized
 from tras.threads import one_blas_thread
 
-
 # ------------------------------------------------------------------------------------------- the reference: double-double arithmetic
 
 
@@ -219,7 +218,7 @@ def test_dependent_columns_are_found_and_named(kind, units):
     fit = StreamingLeastSquares().update(X, Y).solve([f"f{j}" for j in range(8)])
     assert fit.rank == 7 and np.isinf(fit.rounding_error).all()
     with pytest.raises(ValueError, match="8 functions are linearly dependent on this data .numerical rank 7; .*truncated or regularised") as caught:
-        fit.coefficients
+        _ = fit.coefficients
     named = set(str(caught.value).split("rank 7; ")[1].split(" take part")[0].split(", "))
     assert named and named <= involved
     if len(involved) <= 3:
@@ -234,7 +233,7 @@ def test_fewer_rows_than_columns():
     fit = StreamingLeastSquares().update(X, X[:, :1]).solve()
     assert fit.rank == 5
     with pytest.raises(ValueError, match="5 snapshot pairs cannot determine 8 functions; record at least 8 pairs or use a smaller dictionary"):
-        fit.coefficients
+        _ = fit.coefficients
 
 
 def test_the_model_names_functions_by_their_channels(experiment):
@@ -416,7 +415,7 @@ def test_memory_does_not_grow_with_the_rows():
         for _ in range(rows // 5000):
             x = rng.standard_normal((5000, 30))
             solver.update(x, x[:, :10])
-        solver.solve().coefficients
+        _ = solver.solve().coefficients
         top = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return top
@@ -562,6 +561,7 @@ def narrow_functions(rows, p=300):
 
 
 @pytest.mark.parametrize("alone", [False, True])
+@pytest.mark.slow
 def test_more_blocks_make_the_first_basis_where_one_is_few_rows(alone):
     """Two of 4100 rows for 300 functions; any number of threads gives the same bits, as good as QR; an emptied solver keeps the basis."""
     X, Y, blocks = narrow_functions(5 * 4100)

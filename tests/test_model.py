@@ -72,7 +72,7 @@ def test_roll_out_of_the_field_against_dop853(torque_data):
     x0, held = torque_data.states[3, 0], torque_data.inputs[3, :101]
     states = [x0]
     for u in held[:-1]:
-        flow = solve_ivp(lambda t, x: model.vector_field(x, u), (0, 0.01), states[-1], method="DOP853", rtol=1e-11, atol=1e-12)
+        flow = solve_ivp(lambda t, x, u=u: model.vector_field(x, u), (0, 0.01), states[-1], method="DOP853", rtol=1e-11, atol=1e-12)
         states.append(flow.y[:, -1])
     assert np.abs(model.simulate(x0, held) - states).max() <= 1e-6
 
@@ -87,6 +87,7 @@ def test_slow_sampling_gets_more_steps():
 @settings(max_examples=8, deadline=None)
 @given(factors=st.lists(st.floats(1e-4, 1e4), min_size=6, max_size=6), shifts=st.lists(st.floats(-100, 100), min_size=6, max_size=6))
 @pytest.mark.parametrize("predictor", PREDICTORS)
+@pytest.mark.slow
 def test_units_do_not_matter(predictor, torque_data, factors, shifts):
     """Degrees, millimetres, an encoder's zero: the prediction is the same in the new units (shifts in units of the range)."""
     factors, shifts = np.array(factors), np.array(shifts)

@@ -21,7 +21,7 @@ def pendulum(samples=400, trajectories=4, dt=0.02, seed=0):
     x[:, 0] = rng.uniform(-1, 1, (trajectories, 2))
     for k in range(samples - 1):
         flow = integrate.solve_ivp(
-            lambda t, s: np.concatenate([s[trajectories:], -3 * np.sin(s[:trajectories]) - 0.3 * s[trajectories:] + u[:, k, 0]]),
+            lambda t, s, u=u[:, k, 0]: np.concatenate([s[trajectories:], -3 * np.sin(s[:trajectories]) - 0.3 * s[trajectories:] + u]),
             (0, dt), x[:, k].T.ravel(), rtol=1e-9, atol=1e-10,
         )  # fmt: skip
         x[:, k + 1] = flow.y[:, -1].reshape(2, -1).T
@@ -137,6 +137,7 @@ def test_the_likelihood_is_the_dense_gaussian_one(order, channels, intensity):
     assert here == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_smoothing_removes_noise_and_more_of_it_with_a_velocity(swing):
     noisy = tras.add_noise(swing, 0.03, 1)
     alone, paired = tras.smooth(noisy), tras.smooth(noisy, [("q", "v")])
@@ -201,6 +202,7 @@ def shooting_residuals(model, recording, level):
     return residuals, np.concatenate([model.W_.ravel(), x[:, 0, 0]])
 
 
+@pytest.mark.slow
 def test_refining_reaches_what_scipy_reaches(scalar):
     _, noisy, model = scalar
     refined = tras.refine(model, noisy, iterations=20)
@@ -273,6 +275,7 @@ def test_a_refined_model_is_kept_and_forgets_it_when_it_learns_more(scalar, tmp_
     assert not hasattr(refined, "refinement_")
 
 
+@pytest.mark.slow
 def test_a_chaotic_system_is_followed_in_short_pieces():
     def lorenz(x, u):
         return np.array([10 * (x[1] - x[0]), x[0] * (28 - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2]])

@@ -2,13 +2,12 @@
 
 import json
 import re
-from pathlib import Path
 
 import pytest
+from conftest import ROOT
 
 from tras import parameters
 
-ROOT = Path(__file__).parent.parent
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 STAGES = [path for path in NOTEBOOKS if path.stem[0].isdigit()]  # of make; the others have no section in params/
 SET_BY_MAKE = {"data_dir": "data", "figures_dir": "figures"}  # the Makefile gives each profile its own folders

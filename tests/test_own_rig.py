@@ -5,14 +5,13 @@ import re
 import shutil
 import subprocess
 import xml.etree.ElementTree as ElementTree
-from pathlib import Path
 
 import pandas as pd
 import pytest
+from conftest import ROOT
 
 import tras
 
-ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "own_rig.md").read_text()
 NAME = "{http://www.w3.org/1999/xhtml}"
 
@@ -45,6 +44,7 @@ def make(folder, *arguments):
     return subprocess.run(["make", "identify", *arguments], cwd=folder, env=environment, capture_output=True, text=True)
 
 
+@pytest.mark.slow
 def test_everything_is_there(checkout):
     for name, n in (("duffing", 2), ("position", 1)):
         folder = checkout / "build" / "identify" / name
@@ -76,6 +76,7 @@ def test_the_page_is_whole_and_needs_no_network(checkout):
     assert "://" not in text.replace("http://www.w3.org/", "")
 
 
+@pytest.mark.slow
 def test_the_python_of_the_page(checkout, monkeypatch, capsys):
     monkeypatch.chdir(checkout)
     names = {}
@@ -100,6 +101,7 @@ def test_the_commands_result_is_that_of_the_function(checkout):
         ("t,q,u\n0,1,0\n1,2,0\n2,1,1\n", ["DELAYS=1;x"], "holds no whole numbers"),
     ],
 )
+@pytest.mark.slow
 def test_a_wrong_recording_is_a_sentence_and_leaves_nothing(content, arguments, words, checkout, tmp_path):
     path = tmp_path / "it's" / "a.csv"
     path.parent.mkdir()

@@ -87,6 +87,7 @@ def test_intervals_are_the_quantiles_of_the_draws(data):
     assert list(table.index) == list(physics.PARAMETER_NAMES)
 
 
+@pytest.mark.slow
 def test_the_pipeline_sees_the_recording_and_the_field_is_asked_at_the_points(data):
     model, noisy = noisy_case(data)
     smoothed = tras.smooth(noisy, [("phi", "phidot"), ("psi", "psidot")])
@@ -106,6 +107,7 @@ def test_the_pipeline_sees_the_recording_and_the_field_is_asked_at_the_points(da
     assert np.allclose(table["low"], ends[0] + reach) and np.allclose(table["high"], ends[1] - reach)
 
 
+@pytest.mark.slow
 def test_more_data_narrow_the_intervals(data):
     model, noisy = noisy_case(data)
     smoothed = tras.smooth(noisy, [("phi", "phidot"), ("psi", "psidot")])

@@ -140,7 +140,7 @@ def dop853(x0, held, dt, plant):
     states = [np.asarray(x0, dtype=float)]
     for u in held[:-1].tolist():
 
-        def rates(t, x):
+        def rates(t, x, u=u):
             x = x.tolist()
             phiddot, psiddot = accelerations(*x, *u)
             return x[1], phiddot, x[3], psiddot

@@ -1,15 +1,14 @@
 """Every open point of the paper is an option with a default; what it does not know is refused in one sentence."""
 
 import re
-from pathlib import Path
 
 import pytest
 import yaml
+from conftest import ROOT
 
 from tras import readings, tables
 from tras.readings import OPTIONS, ReadingError, Readings
 
-ROOT = Path(__file__).parent.parent
 ALL = [(option, choice) for option in OPTIONS for choice in readings.choices(option)]
 
 

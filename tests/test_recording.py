@@ -1,7 +1,6 @@
 """Recordings: shapes, cutting, splitting, the file."""
 
 import hashlib
-
 from pathlib import Path
 
 import numpy as np

@@ -303,6 +303,7 @@ def test_escaped_text_is_what_it_was(text):
     ("data/robustness_sampling.csv", "Sampling time"), ("data/parameters.csv", "The rig's parameters"), ("figures/horizon.svg", "How the error grows"),
     ("build/01_data_generation.json", "The experiment"),
 ])  # fmt: skip
+@pytest.mark.slow
 def test_a_missing_file_is_one_sentence(copy, capsys, name, heading):
     (copy / name.replace("build/", "paper/")).unlink()
     code, written = run(copy)

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.stats
-from test_figures import visible_texts
+from conftest import visible_texts
 
 import tras
 from tras import benchmark_systems, figures, operator_study, physics, robustness, validation
@@ -59,6 +59,7 @@ def noise(train, fresh):
     return robustness.noise_study(train, fresh, [0.0, 1.0], [3], 201, 2.0, methods=methods, segment=101, processes=2)
 
 
+@pytest.mark.slow
 def test_smoothing_mends_what_noise_spoils_and_refining_follows_it(noise):
     study, models, recordings = noise
     assert list(study["noise"].unique()) == [0.0, 1.0]
@@ -75,6 +76,7 @@ def test_smoothing_mends_what_noise_spoils_and_refining_follows_it(noise):
     assert np.abs(smooth.states - clean.states).mean() < 0.5 * np.abs(measured.states - clean.states).mean()
 
 
+@pytest.mark.slow
 def test_parameters_with_intervals(noise):
     _, models, recordings = noise
     cases = {level: (models[level, 3, method], *recordings[level, 3]) for level, method in ((0.0, "plain"), (1.0, "refined"))}
@@ -88,6 +90,7 @@ def test_parameters_with_intervals(noise):
     assert (noisy["standard_error"].to_numpy() > 10 * clean["standard_error"].to_numpy()).all()
 
 
+@pytest.mark.slow
 def test_the_vector_field_survives_slow_sampling():
     band, peak = [0.5, 1.2], [1.0, 2.5]
     study = robustness.sampling_study([0.2], 200.0, band, peak, [1, 2], 5.0, 2.0, predictors=["vector_field", "one_step"])
@@ -115,6 +118,7 @@ def test_the_study_does_not_depend_on_the_processes(train):
     pd.testing.assert_frame_equal(one, two)
 
 
+@pytest.mark.slow
 def test_the_best_eigenpairs_of_free_swings_are_the_plants_own(swings):
     model, judged = swings
     table = operator_study.residual_study({"free": model}, {"free": judged})
@@ -131,6 +135,7 @@ def test_projection_errors_are_the_spectrum_modules(swings):
     assert table.set_index("function").loc["phi", "projection_error"] < 0.01 < table["projection_error"].max()
 
 
+@pytest.mark.slow
 def test_known_systems_come_back():
     table = benchmark_systems.benchmark_study(20, 16, [0.0], [0]).set_index(["system", "method"])
     error = table["coefficient_error"]
@@ -175,6 +180,7 @@ def case(request, length, swings):
     return {"noise": noise_case, "parameters": parameters_case}[request.param]
 
 
+@pytest.mark.slow
 def test_figures_are_legible_and_inside(case):
     figure, _ = case()
     assert figure.get_figwidth() == 3.5
@@ -186,6 +192,7 @@ def test_figures_are_legible_and_inside(case):
         assert text.get_fontsize() * (0.7 if has_index else 1.0) >= 6.0, text.get_text()
 
 
+@pytest.mark.slow
 def test_figures_repeat_byte_for_byte(case, tmp_path):
     first, second = (figures.save_figure(*case(), tmp_path / name / "fig") for name in "ab")
     for one, two in zip(first, second):

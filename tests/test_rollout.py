@@ -88,6 +88,7 @@ def test_widening_makes_room_for_new_data_and_gives_none_up(confined, cloud):
 
 @pytest.mark.parametrize("predictor", ["vector_field", "one_step"])
 @pytest.mark.parametrize("dictionary", BOUNDED, ids=str)
+@pytest.mark.slow
 def test_predictions_stay_bounded_under_inputs_thrice_the_training_range(dictionary, predictor, torque_data):
     """50 s of square waves at three times the largest torque. Measured: at most 4.7 half-ranges."""
     model = tras.KoopmanModel(dictionary, predictor, strength=1e-2).fit(torque_data)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from conftest import ROOT
 
 from tras import files, parameters, provenance, runner
 
@@ -185,6 +186,7 @@ for path in {paths!r}:
 """
 
 
+@pytest.mark.slow
 def test_provenance_lies_beside_each_artefact(tmp_path, capsys):
     outputs = [tmp_path / "data" / "a.csv", tmp_path / "data" / "models" / "a.npz", tmp_path / "figures" / "a.csv"]
     path = write_notebook(tmp_path / "notebooks" / "a.ipynb", "seed = 1\nn = 2.0", WRITES.format(paths=list(map(str, outputs))))
@@ -229,13 +231,14 @@ def test_the_state_of_git(tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.slow
 def test_an_interrupted_run_leaves_nothing_under_the_final_name(tmp_path, number):
     started, executed = tmp_path / "started", tmp_path / "build" / "a.ipynb"
     code = f"import os, pathlib\npathlib.Path({str(started)!r}).write_text(str(os.getpid()))\nwhile True: pass"
     notebook = write_notebook(tmp_path / "notebooks" / "a.ipynb", "n = 1", code)
     process = subprocess.Popen(
         [sys.executable, "-m", "tras.runner", notebook, executed],
-        cwd=Path(runner.__file__).parent.parent,
+        cwd=ROOT,
         stderr=subprocess.PIPE,
         text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a test run in the background ignores it
@@ -250,18 +253,19 @@ def test_an_interrupted_run_leaves_nothing_under_the_final_name(tmp_path, number
     wait_for(lambda: not Path(f"/proc/{kernel}").exists())
 
 
+@pytest.mark.slow
 def test_a_kernel_and_its_workers_end_with_a_runner_that_is_killed(tmp_path):
     started = tmp_path / "started"
     code = f"import os, pathlib, subprocess\nworker = subprocess.Popen(['sleep', '60'])\nfinal = pathlib.Path({str(started)!r})\n"
     code += "final.with_suffix('.part').write_text(f'{os.getpid()} {worker.pid}')\nfinal.with_suffix('.part').rename(final)\nwhile True: pass"
     notebook = write_notebook(tmp_path / "notebooks" / "a.ipynb", "n = 1", code)
     command = [sys.executable, "-m", "tras.runner", notebook, tmp_path / "build" / "a.ipynb"]
-    process = subprocess.Popen(command, cwd=Path(runner.__file__).parent.parent)
+    process = subprocess.Popen(command, cwd=ROOT)
     wait_for(started.exists)
     process.kill()
     process.wait()
     for number in started.read_text().split():
-        wait_for(lambda: not running(number), 5)
+        wait_for(lambda number=number: not running(number), 5)
 
 
 def running(number):
@@ -294,4 +298,4 @@ def test_project_root_is_found_from_below(tmp_path):
 
 def test_importing_the_runner_does_not_import_papermill():
     code = "import sys, tras.runner; sys.exit('papermill' in sys.modules or 'numpy' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], cwd=Path(runner.__file__).parent.parent).returncode == 0
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0

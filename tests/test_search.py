@@ -15,6 +15,7 @@ def torque_data(experiment):
     return experiment.select(inputs=TORQUES)
 
 
+@pytest.mark.slow
 def test_a_mechanical_system_gets_the_mechanical_dictionary(torque_data):
     model, table = tras.choose(torque_data, [tras.KoopmanModel(d) for d in (tras.Monomials(1), tras.Monomials(2), tras.Mechanical(6))])
     assert isinstance(model.dictionary, tras.Mechanical) and model.pairs_ == torque_data.pairs

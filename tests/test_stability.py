@@ -45,6 +45,7 @@ def clipped_cost(R, free, constant, radius):
 
 @pytest.mark.parametrize("constant", [True, False])
 @pytest.mark.parametrize("radius", [1.0, 0.9])
+@pytest.mark.slow
 def test_constraint_holds_and_costs_less_than_clipping(constant, radius):
     ratios = []
     for seed in range(30):
@@ -113,7 +114,7 @@ def test_no_small_feasible_change_is_much_better():
         S /= np.linalg.norm(S)
         M = S @ A @ np.linalg.inv(S)
         assert np.linalg.norm(M, 2) <= 1 + 1e-6
-        for k in range(400):
+        for _ in range(400):
             size = 10.0 ** rng.uniform(-6, -1)
             U, s, V = np.linalg.svd(M + size * rng.normal(size=(N, N)))
             T = S + size * np.linalg.svd(S, compute_uv=False)[-1] * rng.normal(size=(N, N))
@@ -151,6 +152,7 @@ def det(a):
     return a[0] * a[3] - a[1] * a[2]
 
 
+@pytest.mark.slow
 def test_against_brute_force_over_all_2x2_matrices():
     ratios = []
     for seed in range(40):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tras import provenance, staleness
+from tras import cache, provenance, staleness
 
 INIT = '''
 import importlib
@@ -77,6 +77,7 @@ def test_first_time_all_then_none(project):
 HARMLESS = {
     "touch": lambda: [path.touch() for path in Path().rglob("*") if path.is_file()],
     "comment and blank lines": lambda: change("tras/plant.py", "def", "# a comment\n\n\ndef"),
+    "a new docstring": lambda: change("tras/plant.py", "    return", '    """As tras.mplstyle has it."""\n    return'),
     "text of a notebook": lambda: change("notebooks/01_fit.ipynb", "Some text.", "Other text."),
     "outputs": lambda: write_notebook(Path("notebooks/01_fit.ipynb"), "from tras import fit", "fit()", outputs=[{"output_type": "stream"}]),
     "metadata": lambda: change("notebooks/01_fit.ipynb", '"metadata": {}, "nbformat"', '"metadata": {"a": 1}, "nbformat"'),
@@ -92,6 +93,57 @@ def test_what_cannot_change_a_result_reruns_nothing(project, what):
     stale()
     HARMLESS[what]()
     assert stale() == []
+
+
+DOCUMENTED = '''"""The module."""
+text = """no docstring"""
+
+
+class Rig:
+    """The class."""
+
+    text = "no docstring"
+
+    def turn(self):
+        """The method."""
+        "no docstring"
+        return "no docstring"
+
+
+async def wait():
+    """The coroutine."""
+
+    def inner():
+        """The inner function."""
+        f"no docstring"
+'''
+
+
+@pytest.mark.parametrize("digests", ["key of a stage", "cache"])
+def test_a_docstring_does_not_count_and_any_other_string_does(project, digests, monkeypatch):
+    def digest():
+        if digests == "key of a stage":
+            return staleness.key_of(Path("notebooks/01_fit.ipynb"), Path("params.yaml"), Path("environment.txt"), package())
+        monkeypatch.setattr(cache, "_package", package)
+        return cache.code_digest.__wrapped__("tras.plant")
+
+    def package():
+        return staleness.Package(Path("tras"))
+
+    plant = Path("tras/plant.py")
+    plant.write_text(DOCUMENTED)
+    before = digest()
+    for documented in ("module", "class", "method", "coroutine", "inner function"):
+        assert f"The {documented}." in DOCUMENTED
+        plant.write_text(DOCUMENTED.replace(f"The {documented}.", "Another word."))
+        assert digest() == before
+    pieces = DOCUMENTED.split("no docstring")
+    assert len(pieces) == 6
+    for n in range(1, len(pieces)):
+        plant.write_text("no docstring".join(pieces[:n]) + "another word" + "no docstring".join(pieces[n:]))
+        assert digest() != before
+    plant.write_text(DOCUMENTED.replace("turn", "roll"))
+    assert digest() != before
 
 
 HARMFUL = [

@@ -110,6 +110,7 @@ def test_the_sample_is_spread_evenly_and_bounded(counts):
     "predictor, delays, dictionary",
     [("vector_field", 0, tras.Monomials(3)), ("one_step", 1, tras.Monomials(1)), ("lifted_linear", 0, tras.Monomials(2)), ("one_step", 0, tras.Fourier(1))],
 )
+@pytest.mark.slow
 def test_streamed_and_in_memory_agree_to_the_bit(long_recording, path, monkeypatch, predictor, delays, dictionary):
     """Chunks end at the same pairs as the stretches that are dealt out in memory; with a given strength nothing is held out."""
     monkeypatch.setattr(koopman, "DEALT", CHUNK)
@@ -129,6 +130,7 @@ def test_streamed_and_in_memory_agree_to_the_bit(long_recording, path, monkeypat
 
 
 @pytest.mark.parametrize("chunk", [300, 4000, 20_000])
+@pytest.mark.slow
 def test_other_chunks_agree_but_for_rounding(long_recording, path, chunk):
     """The order of the rows is another one, so sums are rounded otherwise."""
     memory, streamed = plain().fit(long_recording), plain().fit(path, chunk=chunk)
@@ -136,6 +138,7 @@ def test_other_chunks_agree_but_for_rounding(long_recording, path, chunk):
     assert streamed.pairs_ == memory.pairs_
 
 
+@pytest.mark.slow
 def test_what_is_smaller_than_a_chunk_is_fitted_in_memory(long_recording, path):
     """... also with its own hold-out and strength: the same bits, whatever kind of data it was."""
     memory = plain(strength="auto").fit(long_recording)
@@ -223,6 +226,7 @@ class Cut:
 
 @pytest.mark.parametrize("strength", ["auto", 0.01])
 @pytest.mark.parametrize("failure", [KeyboardInterrupt(), UnreadableError("log.nc: gone.")])
+@pytest.mark.slow
 def test_interrupted_and_resumed_has_the_same_bits(long_recording, tmp_path, failure, strength):
     model = plain("vector_field" if strength == "auto" else "one_step", strength=strength)
     source = Cut(long_recording, 28, failure)
@@ -271,6 +275,7 @@ def test_interrupted_in_the_middle_of_a_chunk_goes_on_from_its_beginning(long_re
         assert np.array_equal(getattr(again.hull_, edge), getattr(undisturbed.hull_, edge)), edge
 
 
+@pytest.mark.slow
 def test_checkpoints_on_the_way_change_no_bit(long_recording, path, tmp_path, monkeypatch):
     written = []
     monkeypatch.setattr(streaming.store, "write", lambda *a, write=streaming.store.write: (written.append(1), write(*a)))
@@ -343,6 +348,7 @@ def test_a_damaged_checkpoint_is_refused(long_recording, checkpoint, content):
 # ------------------------------------------------------------------------------------------------------------------- bad data
 
 
+@pytest.mark.slow
 def test_a_corrupt_piece_is_named_and_nothing_is_lost(long_recording, path, tmp_path):
     """One compressed chunk of one channel is damaged after the first reading; put right, the fit goes on with the same bits."""
     packed, checkpoint = tmp_path / "packed.nc", tmp_path / "fit.npz"
@@ -404,7 +410,7 @@ def one_of(recording, k):
         (lambda r, p: plain().fit([p, r.select(inputs=["u_phi"])]), "recording 1 has input_names"),
         (lambda r, p: plain().fit(r, chunk=0), "chunk = 0; give the number"),
         (lambda r, p: plain().fit(p, chunk=CHUNK, ranges={"phi": (0, 1)}), "ranges holds no pair .lowest, highest. for the channel 'phidot'"),
-        (lambda r, p: plain().fit(p, ranges={n: (1, 0) for n in (*r.state_names, *r.input_names)}), r"ranges has \(1, 0\) for the channel 'phi'"),
+        (lambda r, p: plain().fit(p, ranges=dict.fromkeys((*r.state_names, *r.input_names), (1, 0))), r"ranges has \(1, 0\) for the channel 'phi'"),
         (lambda r, p: plain("vector_field", field="least_squares").fit(p, chunk=CHUNK), "field is 'least_squares', which needs all data in memory"),
         (lambda r, p: plain().fit(p, chunk=CHUNK, checkpoint="a.txt"), "checkpoint a.txt ends in '.txt'; use the ending .npz"),
         (lambda r, p: plain(delays=3).fit(p, chunk=CHUNK), "trajectory 3 has 3 samples, too few for 3 delays"),
@@ -442,6 +448,7 @@ def test_a_source_that_gives_other_data_the_second_time(long_recording):
 # --------------------------------------------------------------------------------------------------------------------- memory
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_data():
     rng = np.random.default_rng(0)
     block = rng.uniform(-1, 1, (2001, 3))

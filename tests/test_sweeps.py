@@ -7,7 +7,7 @@ import signal
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import linear_system
+from conftest import ROOT, linear_system
 
 import tras
 from tras import cache, executors, figures_sweep, sweep_point, sweep_run, sweeps
@@ -104,6 +104,7 @@ def test_the_rest_of_a_thinned_trajectory_is_averaged_too():
     assert sweep_point._thinned(tras.Recording([np.arange(8.0)[:, None]], None, 0.5), 3).inputs.shape == (1, 3, 0)
 
 
+@pytest.mark.slow
 def test_held_out_files_and_windows(path, recording, tmp_path):
     """A second recording to judge by: nothing is split. Files larger than a chunk are read in pieces."""
     recording[:5].write(tmp_path / "held.nc")
@@ -153,6 +154,7 @@ def test_windows_that_diverge_are_counted_and_left_out_of_nrmse_only(recording, 
 # ---------------------------------------------------------------------------------------------------------------------- where it runs
 
 
+@pytest.mark.slow
 def test_dask_gives_the_same_table_and_a_killed_worker_changes_nothing(path, recording, computed, cluster, tmp_path, monkeypatch):
     marker, evaluate = tmp_path / "marker", sweep_point.evaluate
 
@@ -170,6 +172,7 @@ def test_dask_gives_the_same_table_and_a_killed_worker_changes_nothing(path, rec
     assert same(run(recording, GRID[1], scheduler=cluster.scheduler_address), run(path, GRID[1]))  # recordings are sent
 
 
+@pytest.mark.slow
 def test_local_processes_give_the_same_table(path, computed):
     assert same(run(path, scheduler="processes", processes=1), computed[1])
 
@@ -293,6 +296,7 @@ def test_a_worker_that_sees_another_file_is_named(path, tmp_path, monkeypatch):
         run(copy)
 
 
+@pytest.mark.slow
 def test_other_code_on_a_worker_is_named(path, cluster, monkeypatch):
     monkeypatch.setattr(sweeps.results_cache, "code_digest", lambda *_: "changed here")
     with pytest.raises(executors.SchedulerError, match="worker tcp://.* has the code of tras in the state .* but changed here is needed"):
@@ -370,8 +374,9 @@ def test_dictionaries_as_yaml_has_them():
 # ------------------------------------------------------------------------------------------------------------------- the command
 
 
+@pytest.mark.slow
 def test_the_command_makes_table_and_figure_and_goes_on(tmp_path, capsys, monkeypatch):
-    call = [str(sweep_run.Path(__file__).parent.parent / "params" / "sweeps" / "smoke.yaml"), "--out", str(tmp_path), "--scheduler", "none"]
+    call = [str(ROOT / "params" / "sweeps" / "smoke.yaml"), "--out", str(tmp_path), "--scheduler", "none"]
     assert sweep_run.main(call) == 0
     said = capsys.readouterr().out
     assert "13 fits, 12 with a model" in said and "Mechanical(degree=4), N = 45, predictor vector_field" in said.splitlines()[1] and "table.csv" in said
@@ -430,10 +435,10 @@ def test_roles_no_file_no_model_and_ctrl_c(recording, tmp_path, capsys, monkeypa
 
 
 def test_the_description_in_the_documentation_is_one():
-    text = (sweep_run.Path(__file__).parent.parent / "docs" / "scale.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "scale.md").read_text(encoding="utf-8")
     block = text.partition("```yaml\n")[2].partition("```")[0]
     given = sweep_run._checked(sweep_run.Description, sweep_run.parse_yaml(block, "docs/scale.md"), "").arguments()
     assert given["recording"] == ["monday.nc", "tuesday.nc"] and given["held_out"] == ["friday.nc"]
     assert len(points(given["grid"])) == 4 * 2 * 2 * 2 * 2
-    default = sweep_run.read(sweep_run.Path(__file__).parent.parent / "params" / "sweeps" / "dictionaries.yaml")
+    default = sweep_run.read(ROOT / "params" / "sweeps" / "dictionaries.yaml")
     assert len(points(default.models)) == 96  # as the documentation says

@@ -53,6 +53,7 @@ def torque_data(experiment):
 
 @pytest.mark.parametrize("inputs", [TORQUES, REFERENCES], ids=["torque", "reference"])
 @pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.slow
 def test_every_shipped_dictionary_gives_a_model_that_stays(name, inputs, train, fresh):
     """No window of 6 s diverges, a free run stays bounded, errors are of the order of percent at most.
 
@@ -97,6 +98,7 @@ def test_parameters_come_back_from_clean_data(whole, train):
     assert len(errors) == 8 and errors.max() <= 0.005  # measured: 0.00004
 
 
+@pytest.mark.slow
 def test_one_percent_of_noise_is_taken_out(whole, fresh):
     """Smoothed, then refined: measured on three seeds 0.03 to 0.05 % (yaw), 0.02 to 0.03 % (pitch), parameters 0.5 to 1.2 % off."""
     noisy = tras.add_noise(whole, 0.01, 0)

@@ -1,15 +1,13 @@
 """Scoring on windows, and the table made from it."""
 
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import ROOT
 
 import tras
 from tras import metrics, tables, validation
-
-ROOT = Path(__file__).parent.parent
 
 
 class Late:

@@ -1,5 +1,6 @@
 """Verification: what counts as the same, what as a difference, and what is said about it."""
 
+import hashlib
 import re
 import shutil
 import subprocess
@@ -10,12 +11,16 @@ import matplotlib.image
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import ROOT
 from PIL import Image
 
 import tras
 from tras import artefacts, verification
 
-FILES = [Path(name) for name in ("data/table.csv", "data/long.csv", "data/run.nc", "data/model.npz", "figures/plot.png", "figures/plot.pdf", "figures/film.gif")]
+FILES = [
+    *map(Path, ("data/table.csv", "data/long.csv", "data/run.nc", "data/model.npz")),
+    *map(Path, ("figures/plot.png", "figures/plot.pdf", "figures/film.gif", "figures/plot.csv")),
+]
 TABLE = "name,count,value\nfirst,3,1.5\nsecond,4,\nthird,5,-2e-05\n"
 rng = np.random.default_rng(0)
 RUN = rng.normal(size=(900, 3))
@@ -37,6 +42,8 @@ def blessed(tmp_path_factory):
         write_picture(0)
         write_film()
         Path("figures/plot.pdf").write_bytes(b"%PDF")
+        Path("figures/plot.csv").write_text(TABLE)
+        commit("figures/plot.png", "figures/plot.csv", "figures/film.gif")
         assert verification.bless(FILES, Path("reference")) == 0
     return folder
 
@@ -46,6 +53,13 @@ def project(blessed, tmp_path, monkeypatch):
     """A copy of it to spoil, as the working folder."""
     shutil.copytree(blessed, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
+
+
+def commit(*paths):
+    """Commit files to the repository of the working folder, which is made if there is none."""
+    identity = ("-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false")
+    for command in (("init", "-q"), ("add", *paths), (*identity, "commit", "-q", "-m", "Figures")):
+        subprocess.run(["git", *command], check=True)
 
 
 def write_long(values):
@@ -149,6 +163,8 @@ CHANGES = {
     "film damaged": (lambda: Path("figures/film.gif").write_bytes(b"junk"), "figures/film.gif", 1, "UNREADABLE .*film.gif cannot be read"),
     "pdf": (lambda: Path("figures/plot.pdf").write_bytes(b"%PDF-2"), "figures/plot.pdf", 0, "other bytes .*see plot.png and plot.csv"),
     "pdf, empty": (lambda: Path("figures/plot.pdf").write_bytes(b""), "figures/plot.pdf", 1, "UNREADABLE .*it is empty"),
+    "table of a figure, inside": (lambda: change("figures/plot.csv", "1.5", "1.5000000001"), "figures/plot.csv", 0, "numbers agree .*1.5000000001 for 1.5"),
+    "table of a figure, outside": (lambda: change("figures/plot.csv", "1.5", "1.50001"), "figures/plot.csv", 1, r"DIFFERS .*\(value, row 1: 1.50001 for 1.5,"),
     "missing": (lambda: Path("data/run.nc").unlink(), "data/run.nc", 1, "MISSING .*it is not there: make all"),
 }  # fmt: skip
 
@@ -182,11 +198,45 @@ def test_a_damaged_reference(project, what, capsys):
     assert re.search(pattern, lines["data/table.csv"]), lines["data/table.csv"]
 
 
-def test_a_damaged_copy_of_a_picture_is_named(project, capsys):
+# What is done to the repository, whose files stand for the figures and their tables; and what is said of one with other bytes.
+UNCOMMITTED = {
+    "no repository": (lambda: shutil.rmtree(".git"), "MISSING .*git has no {} to compare with: clone the repository, or commit the file"),
+    "not committed": (lambda: subprocess.run(["git", "update-ref", "-d", "HEAD"], check=True), "MISSING .*git has no {} to compare with"),
+    "regenerated and committed": (lambda: commit("figures"), "MISSING .*git has another {} than the reference names: commit it together"),
+}
+
+
+@pytest.mark.parametrize("what", UNCOMMITTED)
+def test_a_figure_that_git_does_not_have_is_named(project, what, capsys):
+    make, pattern = UNCOMMITTED[what]
     write_picture(1)
-    Path("reference/figures/plot.png").write_bytes(b"junk")
+    change("figures/plot.csv", "1.5", "1.5000000001")
+    make()
     status, lines = verdicts(capsys)
-    assert status == 1 and "reference/figures/plot.png cannot be read" in lines["figures/plot.png"]
+    assert status == 1
+    for name in ("figures/plot.png", "figures/plot.csv"):
+        assert re.search(pattern.format(name), lines[name]), lines[name]
+    assert all(line.startswith("same bytes") for name, line in lines.items() if not name.startswith("figures/plot.") or name.endswith("pdf"))
+
+
+def test_equal_bytes_need_no_git(project, capsys):
+    shutil.rmtree(".git")
+    assert verdicts(capsys)[0] == 0
+
+
+def test_git_has_the_figures_that_the_reference_names():
+    """Otherwise another machine has nothing to compare them with."""
+    command = ["git", "ls-tree", "-r", "--name-only", "HEAD", "figures", "reference"]
+    tree = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    if tree.returncode:
+        pytest.skip("this is no git repository")
+    names = set(tree.stdout.split())
+    contents = {name: subprocess.run(["git", "show", f"HEAD:./{name}"], cwd=ROOT, capture_output=True).stdout for name in names}
+    sums = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items() if name.startswith("figures/")}
+    manifest = contents["reference/SHA256SUMS"].decode().splitlines()
+    expected = dict(reversed(line.split("  ")) for line in manifest if "figures/" in line)
+    assert sums == {name: value for name, value in expected.items() if not name.endswith(artefacts.DRAWINGS)}
+    assert not [name for name in names if name.startswith("reference/figures")]
 
 
 def test_what_make_no_longer_builds_and_what_has_no_reference(project, capsys):
@@ -214,7 +264,7 @@ def test_bless_replaces_what_changed_and_removes_what_went(project, capsys):
     change("data/table.csv", "1.5", "2.5")
     capsys.readouterr()
     assert verification.main(["--bless", *map(str, FILES[:2])]) == 0
-    assert "6 new or changed: data/model.npz, data/run.nc, data/table.csv" in capsys.readouterr().out
+    assert "7 new or changed: data/model.npz, data/run.nc, data/table.csv" in capsys.readouterr().out
     assert sorted(path.name for path in Path("reference").rglob("*.*")) == ["README.md", "long.csv", "table.csv"]
     assert verdicts(capsys, FILES[:2])[0] == 0
 
@@ -254,4 +304,4 @@ def test_a_line_moved_by_its_width_looks_different(tmp_path, monkeypatch):
 
 def test_equal_bytes_need_no_numpy():
     code = "import sys, tras.verification; sys.exit('numpy' in sys.modules or 'matplotlib' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], cwd=Path(verification.__file__).parent.parent).returncode == 0
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0

@@ -1,14 +1,19 @@
-"""What an artefact holds, for comparison: columns of numbers, or a small grey picture; and the copies in `reference/`.
+"""What an artefact holds, for comparison: columns of numbers, or a small grey picture; and what stands for it in `reference/`.
 
-A copy is text or a small picture: a table (.csv) as it is, thinned if it is long; a recording (.nc) as a thinned table;
-a model (.npz) with one line per number, long arrays thinned; a picture (.png) in grey at a quarter of the size, of an
-animation (.gif) some frames, one below the other.
+The committed file stands for a figure and its table. Of the rest `reference/` holds a copy as text: a table (.csv) as it
+is, thinned if it is long; a recording (.nc) as a thinned table; a model (.npz) with one number per line, long arrays
+thinned. Pictures are compared in grey at a quarter of the size, of an animation (.gif) some frames, one below the other.
 """
 
 import collections
+import contextlib
 import csv
+import hashlib
 import json
 import shutil
+import subprocess
+import tempfile
+from pathlib import Path
 
 from tras.files import replacing
 
@@ -18,6 +23,8 @@ WHOLE = 100_000  # bytes; the copy of a longer table is thinned
 ROWS = 250  # rows, or elements of an array, that a thinned copy keeps
 SMALLER = 4  # pixels to one, each way
 PICTURES = (".png", ".gif")
+DRAWINGS = (".pdf", ".svg")  # compared by their checksum only, and not in git
+COMMITTED = "figures"  # the folder whose files, drawings aside, are in git
 FRAMES = 5  # of an animation, from the first to the last
 
 
@@ -103,26 +110,35 @@ def text(value):
     return f"{value:.12g}" if isinstance(value, float) else str(value)
 
 
-# --- their copies in reference/ ---------------------------------------------------------------------------------------
+# --- what stands for them in the reference ----------------------------------------------------------------------------
 
 
 def copy_of(artefact, reference):
-    """Where an artefact's copy lies in the folder ``reference``, None for a kind that has only a checksum there."""
-    if artefact.suffix not in (".csv", ".nc", ".npz", *PICTURES):
+    """Where the copy of an artefact lies in the folder ``reference``; None if git has it or only its checksum counts."""
+    if artefact.parts[0] == COMMITTED or artefact.suffix in (*DRAWINGS, *PICTURES):
         return None
-    if artefact.suffix == ".gif":
-        return reference / artefact.with_name(artefact.name + ".png")
-    return reference / (artefact if artefact.suffix in (".csv", ".png") else artefact.with_name(artefact.name + ".csv"))
+    return reference / (artefact if artefact.suffix == ".csv" else artefact.with_name(artefact.name + ".csv"))
+
+
+@contextlib.contextmanager
+def committed(artefact, checksum):
+    """A temporary path of the file that the last commit has; `FileNotFoundError` unless it has that SHA-256."""
+    try:
+        command = ["git", "show", f"HEAD:./{artefact.as_posix()}"]
+        content = subprocess.run(command, capture_output=True, check=True).stdout
+    except (OSError, subprocess.CalledProcessError):
+        raise FileNotFoundError(f"git has no {artefact} to compare with: clone the repository, or commit the file") from None
+    if hashlib.sha256(content).hexdigest() != checksum:
+        raise FileNotFoundError(f"git has another {artefact} than the reference names: commit it together with the reference")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / artefact.name
+        path.write_bytes(content)
+        yield path
 
 
 def write_copy(artefact, copy):
     """Write the copy of an artefact; `ValueError` if the artefact cannot be read."""
-    if artefact.suffix in PICTURES:
-        import matplotlib.image
-
-        with replacing(copy) as temporary:
-            matplotlib.image.imsave(temporary, picture(artefact), cmap="gray", vmin=0, vmax=255, metadata={"Software": None})
-    elif artefact.suffix == ".csv" and artefact.stat().st_size <= WHOLE:
+    if artefact.suffix == ".csv" and artefact.stat().st_size <= WHOLE:
         read_columns(artefact)
         with replacing(copy) as temporary:
             shutil.copyfile(artefact, temporary)
@@ -146,7 +162,7 @@ def _write_thinned(columns, copy):
 
 
 def read_copy(path):
-    """A copy of columns: name -> (row numbers or None for all, values); `ValueError` if it cannot be read."""
+    """A copy of columns, or a whole table: name -> (row numbers or None for all, values); `ValueError` if it cannot be read."""
     try:
         with open(path, encoding="utf-8", newline="") as file:
             names, *lines = csv.reader(file, strict=True)
@@ -168,11 +184,6 @@ def picture(path):
     height, width = (size // SMALLER * SMALLER for size in levels.shape)
     blocks = levels[:height, :width].reshape(height // SMALLER, SMALLER, width // SMALLER, SMALLER)
     return (255 * blocks.mean(axis=(1, 3))).round()
-
-
-def read_small(copy):
-    """The copy of a picture, as `picture` gives it."""
-    return 255 * _levels(copy)
 
 
 def _levels(path):

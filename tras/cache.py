@@ -19,7 +19,10 @@ from tras.staleness import Package, digest
 
 @functools.cache
 def code_digest(*modules):
-    """Digest of modules and all that they need in turn, as syntax trees, and of Python's and libraries' versions."""
+    """Digest of modules, of all that they need in turn, and of the versions of Python and the libraries.
+
+    The modules count as `tras.staleness` reads them: without comments and docstrings.
+    """
     package, parts = _package(), {}
     for module in sorted(package.closure(set(modules))):
         parts.update(package.fingerprint(module))

@@ -4,7 +4,8 @@ Make compares times, and times lie: a touched file, a fresh clone, a cleared out
 nothing else. So make asks here first. For each notebook this script writes down what its result depends on:
 
 - the notebook's code cells (not its text, outputs or metadata other than tags);
-- the modules of `tras` that the cells import, directly or through other modules, as syntax trees: comments do not count;
+- the modules of `tras` that the cells import, directly or through other modules, as syntax trees: comments and
+  docstrings do not count;
 - package data, such as a style sheet, that one of these modules names;
 - the notebook's own section of the parameter file;
 - `environment.txt` and the version of Python.
@@ -90,9 +91,9 @@ class Package:
         return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
     def tree(self, module: str) -> ast.Module | None:
-        """The syntax tree of a module, None when it does not parse."""
+        """The syntax tree of a module without its docstrings, None when it does not parse."""
         if module not in self._trees:
-            self._trees[module] = _parsed(self.paths[module].read_bytes())
+            self._trees[module] = without_docstrings(_parsed(self.paths[module].read_bytes()))
         return self._trees[module]
 
     def _read_table(self) -> tuple[dict, set]:
@@ -197,16 +198,28 @@ class Package:
 
     def fingerprint(self, module: str) -> dict[str, str]:
         """Digests of a module and of the package data that it names."""
-        source = self.paths[module].read_bytes()
         tree = self.tree(module)
         if tree is None:
-            return {module: digest(source)}
+            return {module: digest(self.paths[module].read_bytes())}
         body = tree.body
         if module == self.name:  # a new line of the table concerns only who uses it
             body = [node for node in body if TABLE not in [getattr(t, "id", "") for t in getattr(node, "targets", [])]]
-        parts = {module: digest("\n".join(ast.dump(node) for node in body))}
-        parts.update({f"{self.name}/{path.name}": digest(path.read_bytes()) for path in self.data if path.name.encode() in source})
-        return parts
+        code = "\n".join(ast.dump(node) for node in body)
+        data = {f"{self.name}/{path.name}": digest(path.read_bytes()) for path in self.data if path.name in code}
+        return {module: digest(code)} | data
+
+
+def without_docstrings(tree: ast.Module | None) -> ast.Module | None:
+    """The same tree, after the docstrings of its module, classes and functions were taken out.
+
+    >>> ast.unparse(without_docstrings(ast.parse("def f():\\n    'Adds.'\\n    return 'a' 'b'")))
+    "def f():\\n    return 'ab'"
+    """
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    for node in ast.walk(tree) if tree else ():
+        if isinstance(node, documented) and ast.get_docstring(node, clean=False) is not None:
+            del node.body[0]
+    return tree
 
 
 def _parsed(source: str | bytes) -> ast.Module | None:

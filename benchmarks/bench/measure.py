@@ -17,7 +17,9 @@ from benchmarks.bench.children import Child, Failed
 from tras import files
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-THREADS = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")}
+THREADS = dict.fromkeys(
+    ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
+)
 BEYOND = 1e3  # half-ranges: a roll-out that leaves them is counted as diverged
 FITTED_ONLY = ("koopman_matrix", "all_processors", "states_alone", "floor")
 ROLLED_ONLY = ("one_step", "lifted_linear")  # their fits differ little from the others
@@ -247,9 +249,9 @@ def grow(bench, say, against=GROWTH):
             for variant in ROLLED_OUT if variable == "trajectories" else ("koopman_matrix",):
                 key = f"growth-{variable}-{variant}-{pairs}-{functions}-{runs}-{fingerprint()}-{digest(bench.limits)}"
 
-                def measure(variant=variant, variable=variable):
+                def measure(variant=variant, variable=variable, cell=(pairs, functions, runs)):
                     nonlocal problem
-                    problem = problem or data.write(bench.folder / "problems", pairs, functions, runs, width=NARROW)
+                    problem = problem or data.write(bench.folder / "problems", *cell, width=NARROW)
                     rolled = variable == "trajectories"
                     return measured(bench, variants[variant], problem, rolled=rolled, compared=False, fits=1 if rolled else None)
 
