@@ -1,7 +1,7 @@
 # Build the replication: `make` lists what it can do, `make all` does it.
 #
-# A stage is a notebook with parameters. Its stamp is its executed copy, build/PROFILE/NAME.ipynb, which tras/runner.py moves into
-# place as the last act of a successful run. Whether a stage is out of date is decided by content, not by time: tras/staleness.py
+# A stage is a notebook with parameters. Its stamp is its executed copy, build/PROFILE/NAME.ipynb, which tras/workflow/runner.py moves into
+# place as the last act of a successful run. Whether a stage is out of date is decided by content, not by time: tras/workflow/staleness.py
 # rewrites build/PROFILE/NAME.key only when code, parameters, environment or outputs changed.
 
 SHELL := /bin/bash
@@ -88,7 +88,7 @@ help: ## list the targets (this text)
 setup: $(READY) ## create .venv from environment.txt (the other targets do it by themselves)
 
 all: stages ## everything: data, models, figures, further studies; prints the table
-	@$(PY) -m tras.tables table --figures $(FIGURES) $(if $(filter paper,$(PROFILE)),--check)
+	@$(PY) -m tras.paper.pages table --figures $(FIGURES) $(if $(filter paper,$(PROFILE)),--check)
 
 stages: $(STAMPS) $(OUTPUTS)
 
@@ -97,11 +97,11 @@ paper: $(PAPER_STAGES:%=$(BUILD)/%.ipynb) $(PAPER_OUTPUTS) ## the paper's own fi
 figures: $(BUILD)/04_figures.ipynb $(OUT_04) ## all figures, and what they need
 
 report: stages ## one page that tells it all and needs no network: build/paper/report.html
-	@$(PY) -m tras.report $(BUILD)/report.html --data $(DATA) --figures $(FIGURES) --build $(BUILD)
+	@$(PY) -m tras.paper.report $(BUILD)/report.html --data $(DATA) --figures $(FIGURES) --build $(BUILD)
 
 SWEEP ?= params/sweeps/dictionaries.yaml
 sweep: $(READY) ## many fits, described by SWEEP=params/sweeps/dictionaries.yaml, on this machine's cores or SCHEDULER=tcp://host:8786
-	@$(PY) -m tras.sweep_run $(SWEEP) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
+	@$(PY) -m tras.sweeps.command $(SWEEP) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
 # RECORDING=log.csv, and where names are not plain ROLES=roles.yaml or STATES=a,b INPUTS=c TIME=t TRIAL=run; also DT= RESAMPLE= PREDICTOR= DELAYS=
 # SMOOTHING= DRAWS= OUT= (docs/own_rig.md).
@@ -111,11 +111,11 @@ lower = $(shell printf %s "$(1)" | tr A-Z a-z)
 
 identify: $(READY) ## a model of your own system: make identify RECORDING=log.csv (docs/own_rig.md)
 	@$(if $(RECORDING),,echo "say which recording: make identify RECORDING=log.csv (make example writes one to try)" >&2; exit 2)
-	@$(PY) -m tras.identify_command $(call quoted,$(RECORDING)) $(foreach name,$(IDENTIFY),$(if $($(name)),--$(call lower,$(name))=$(call quoted,$($(name)))))
+	@$(PY) -m tras.identification.command $(call quoted,$(RECORDING)) $(foreach name,$(IDENTIFY),$(if $($(name)),--$(call lower,$(name))=$(call quoted,$($(name)))))
 
 example: $(READY) ## recordings of two simulated systems to try it on, in build/example/
-	@$(PY) -m tras.examples duffing build/example/duffing.csv
-	@$(PY) -m tras.examples cart_pole build/example/cart_pole.csv
+	@$(PY) -m tras.identification.examples duffing build/example/duffing.csv
+	@$(PY) -m tras.identification.examples cart_pole build/example/cart_pole.csv
 
 smoke: $(READY) ## the same stages, small, below build/smoke/
 	@$(MAKE) PROFILE=smoke stages
@@ -145,13 +145,13 @@ lock: ## resolve environment.in anew into environment.txt (needs uv; UPGRADE=1 f
 
 ifeq ($(PROFILE),paper)
 verify: reference/SHA256SUMS $(STAMPS) $(OUTPUTS) ## compare data, models and figures with reference/: bytes, numbers, looks
-	@$(PY) -m tras.verification $(OUTPUTS)
+	@$(PY) -m tras.paper.verification $(OUTPUTS)
 
 reference/SHA256SUMS: # said before anything is built
 	@echo "$@ does not exist, so there is nothing to compare with: git checkout reference, or make bless to take this machine's results." >&2; exit 2
 
 bless: $(STAMPS) $(OUTPUTS) ## take them as the new reference/ (nothing else writes there)
-	@$(PY) -m tras.verification --bless $(OUTPUTS)
+	@$(PY) -m tras.paper.verification --bless $(OUTPUTS)
 else
 verify bless:
 	@echo "make $@ is for PROFILE=paper, whose numbers reference/ holds; for PROFILE=$(PROFILE) there is no reference." >&2; exit 2
@@ -159,7 +159,7 @@ endif
 
 readme: $(READY) ## write the tables of README.md and docs/paper.md
 	@$(MAKE) PROFILE=paper stages
-	@$(PY) -m tras.tables --write
+	@$(PY) -m tras.paper.pages --write
 
 bench-test: $(READY) ## tests of the harness of make bench
 	@$(PY) -m pytest benchmarks/tests
@@ -206,13 +206,13 @@ command -v uv >/dev/null || "$(PYTHON)" -c 'import venv, ensurepip' 2>/dev/null 
 endef
 
 $(KEYS) &: FORCE | $(READY)
-	@$(PY) -I -S tras/staleness.py --build $(BUILD) --params $(PARAMS) $(STAGES:%=notebooks/%.ipynb)
+	@$(PY) -I -S tras/workflow/staleness.py --build $(BUILD) --params $(PARAMS) $(STAGES:%=notebooks/%.ipynb)
 
 # $(call stage,NAME,OUTPUTS,STAGES BEFORE IT). The stamps before it stand for their outputs: a stage is out of date when one of
 # its outputs is not what it wrote, so a missing recording reruns the stage that writes it.
 define stage
 $(2) $(BUILD)/$(1).ipynb &: $(BUILD)/$(1).key $(3:%=$(BUILD)/%.ipynb)
-	@$(PY) -m tras.runner notebooks/$(1).ipynb $(BUILD)/$(1).ipynb --params $(PARAMS) \
+	@$(PY) -m tras.workflow.runner notebooks/$(1).ipynb $(BUILD)/$(1).ipynb --params $(PARAMS) \
 	  --set data_dir=$(DATA) --set figures_dir=$(FIGURES) --outputs $(2)
 endef
 

@@ -11,7 +11,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np  # noqa: E402
 
-from tras import closed_loop  # noqa: E402
+from tras.twin_rotor import closed_loop  # noqa: E402
 
 SAMPLES = 601
 

@@ -67,7 +67,7 @@ def make():
 def artefacts():
     """Every file under a final name -> its checksum; what begins with a dot is temporary and counts elsewhere.
 
-    The cache of 06_readings is no artefact: it may be deleted, and what is damaged in it is said and computed again (tests/test_grid.py).
+    The cache of 06_readings is no artefact: it may be deleted, and what is damaged in it is said and computed again (tests/paper/test_grid.py).
     """
     files = [path for folder in ("data", "figures") for path in (BUILD / folder).rglob("*") if path.is_file()]
     files = [path for path in files if not path.name.startswith(".") and not {"provenance", "cache"} & set(path.parts)]

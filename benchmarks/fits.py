@@ -1,4 +1,4 @@
-"""Fits a second in the grid of readings (`tras.grid`): identification with log K and equation (18), from the paper's 40 000 snapshot pairs.
+"""Fits a second in the grid of readings (`tras.paper.grid`): identification with log K and equation (18), from the paper's 40 000 snapshot pairs.
 
     .venv/bin/python benchmarks/fits.py [--rounds 5]
 
@@ -12,8 +12,8 @@ import time
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from tras import grid, readings  # noqa: E402
-from tras.dictionary import Dictionary  # noqa: E402
+from tras.dictionaries.base import Dictionary  # noqa: E402
+from tras.paper import grid, readings  # noqa: E402
 
 
 def best_times(study, recording, name, rounds):

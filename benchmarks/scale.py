@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import numpy as np  # noqa: E402
 
 import tras  # noqa: E402
-from tras import streaming  # noqa: E402, F401 - counted among the libraries
+from tras.large import streaming  # noqa: E402, F401 - counted among the libraries
 
 NAMES = {"state_names": ["phi", "phidot", "psi", "psidot"], "input_names": ["u_phi", "u_psi"]}
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: times of one core
 ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "solver")]
 
 import numpy as np  # noqa: E402
 import pandas as pd  # noqa: E402
@@ -22,7 +22,7 @@ from tqdm import tqdm  # noqa: E402
 
 import tras  # noqa: E402
 from tras import koopman  # noqa: E402
-from tras.leastsquares import least_squares  # noqa: E402
+from tras.solver.least_squares import least_squares  # noqa: E402
 
 DICTIONARIES = [tras.Monomials(3), tras.Monomials(4), tras.GaussianRBF(499, 1.0)]  # N = 84, 210, 506
 
@@ -97,7 +97,7 @@ PROBLEMS = [  # of rising size; inputs, dictionary
 
 def accuracy():
     """Largest error of a coefficient over the largest coefficient of its column, of some columns, against double-double arithmetic."""
-    from test_leastsquares import columnwise, extended
+    from test_least_squares import columnwise, extended
 
     table = []
     for inputs, dictionary in tqdm(PROBLEMS, desc="accuracy"):

@@ -12,11 +12,11 @@ from scipy import linalg
 from scipy.linalg import expm
 
 import tras
-from tras import dictionary as dictionaries
 from tras import koopman
-from tras.dictionary import Dictionary
+from tras.dictionaries import base as dictionaries
+from tras.dictionaries.base import Dictionary
 from tras.generator import LogarithmError, branch_distance, generator, principal_logarithm
-from tras.leastsquares import least_squares
+from tras.solver.least_squares import least_squares
 
 A4 = np.array([[0, 1, 0, 0], [-3, -0.4, 0.2, 0], [0, 0, 0, 1], [0.1, 0, -1, -0.3]])
 B4 = np.array([[0, 0], [2, 0], [0, 0], [0, 1.5]])

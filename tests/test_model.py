@@ -13,7 +13,8 @@ from sklearn.base import clone
 from sklearn.model_selection import GridSearchCV
 
 import tras
-from tras import metrics, spectrum
+from tras import metrics
+from tras.paper import spectrum
 
 A2, B2 = [[0, 1], [-2, -0.5]], [[0], [1]]
 PREDICTORS = ["vector_field", "one_step", "lifted_linear"]

@@ -6,7 +6,7 @@ import re
 import pytest
 from conftest import ROOT
 
-from tras import parameters
+from tras.workflow import parameters
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 STAGES = [path for path in NOTEBOOKS if path.stem[0].isdigit()]  # of make; the others have no section in params/

@@ -5,8 +5,8 @@ import pytest
 from scipy import linalg
 
 import tras
-from tras.leastsquares import least_squares
 from tras.regularization import METHODS, STRENGTHS, regularized
+from tras.solver.least_squares import least_squares
 
 HEAD = 4
 

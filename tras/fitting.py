@@ -14,10 +14,13 @@ from sklearn.base import clone
 from tras import koopman
 from tras.estimator import Channels
 from tras.hull import Hull, outward_rates
-from tras.leastsquares import LeastSquares, StreamingLeastSquares
 from tras.predictors import PREDICTORS
+from tras.recording import join
 from tras.regularization import regularized
-from tras.threads import processors
+from tras.solver.least_squares import LeastSquares, StreamingLeastSquares
+from tras.solver.threads import processors
+
+WINDOW = 501  # samples of a roll-out, at most
 
 
 class Fit:
@@ -155,3 +158,20 @@ def rows_and_hull(state, confined=None) -> tuple[StreamingLeastSquares | None, H
     )
     free = Hull.unconfined(len(hull.get("low", ())), confined)
     return StreamingLeastSquares.from_state(solver) if solver else None, Hull.restored(hull, free) if hull else None
+
+
+def hold_out(recording):
+    """Every fifth trajectory apart, cut into windows of equal length: (the rest, those); all pairs stay in one of the two.
+
+    With fewer than five trajectories each is cut first. (recording, None) if there is too little to hold anything out.
+    """
+    parts = recording if len(recording) >= 5 else recording.cut_all(max(2, -(-int(recording.lengths.max() - 1) // (5 + 1)) + 1))
+    if len(parts) < 5 or np.median(parts.lengths) < 10:
+        return recording, None
+    fifth = np.arange(len(parts)) % 5 == 4
+    lengths = parts.lengths[fifth]
+    window = int(min(WINDOW, np.median(lengths)))
+    whole, rest = parts[fifth].cut_all(window), parts[~fifth]
+    full = whole.lengths == window
+    leftover = [whole[~full]] if (~full).any() else []
+    return join([rest, *leftover]), whole[full]

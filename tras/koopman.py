@@ -1,6 +1,6 @@
 """The Koopman matrix: K = Psi_x^+ Psi_y by least squares over all snapshot pairs (paper, (9)-(14)).
 
-The pairs stream through `tras.leastsquares` in blocks: memory does not grow with the number of samples, and coefficients are as good as those
+The pairs stream through `tras.solver.least_squares` in blocks: memory does not grow with the number of samples, and coefficients are as good as those
 of a QR decomposition or better. The fit is of the change D = K - I, because ``psi(y) - psi(x)`` is small and K near the identity: rounding errors are
 relative to D, which is what the logarithm needs, and functions that do not change (the constant, the inputs) get exactly zero.
 """
@@ -9,8 +9,8 @@ import threading
 
 import numpy as np
 
-from tras.leastsquares import StreamingLeastSquares, panel_rows
-from tras.threads import processors
+from tras.solver.least_squares import StreamingLeastSquares, panel_rows
+from tras.solver.threads import processors
 
 DEALT = 2**20  # pairs that are shuffled at a time, 80 MB for ten channels
 SUIT = 8  # successive pairs that are dealt together where they share liftings

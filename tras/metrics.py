@@ -189,3 +189,9 @@ def _positive(scale, what):
     if np.any(scale == 0):
         raise ValueError(f"channel {int(np.argmin(scale))}: {what}, so there is nothing to relate the error to; leave the channel out.")
     return scale
+
+
+def multi_step_error(predicted, held, n):
+    """Root mean square of roll-outs (samples, n', trajectories) against scaled trajectories; a sample counts 10 at most, NaN too."""
+    error = np.abs(predicted[:, :n].transpose(2, 0, 1) - held.states[..., :n])
+    return float(np.sqrt(np.mean(np.minimum(np.nan_to_num(error, nan=10.0), 10.0) ** 2)))

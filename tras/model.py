@@ -6,13 +6,15 @@ import numpy as np
 from scipy import linalg
 from sklearn.base import clone
 
-from tras import storage, streaming, summary
-from tras.dictionary import Dictionary
+from tras import model_file as storage
+from tras import summary
+from tras.dictionaries.base import Dictionary
 from tras.estimator import Estimator
 from tras.hull import over_a_sample
+from tras.large import streaming
+from tras.metrics import multi_step_error
 from tras.predictors import PREDICTORS
 from tras.regularization import METHODS, STRENGTHS
-from tras.selection import multi_step_error
 
 OPTIONS = {
     "predictor": tuple(PREDICTORS),
@@ -62,7 +64,7 @@ class KoopmanModel(Estimator):
         linearly and damped, so that predictions stay bounded (`tras.hull.Hull`; with `Mechanical`, whose functions of inputs and velocities
         are sound anywhere, only in the positions); ``"functions"`` trusts them.
     stable : bool or float
-        With ``lifted_linear``: keep the spectral radius of A at most one, or at most this number (`tras.stability`). A radius of one bounds the
+        With ``lifted_linear``: keep the spectral radius of A at most one, or at most this number (`tras.solver.stability`). A radius of one bounds the
         powers of A; the response to bounded inputs is bounded below one only. ``1 - dt / tau`` makes every mode forget in about the time tau.
     columns : {"all", "states"}
         With ``one_step``: ``"states"`` fits the states' columns of K alone, which is all that its predictions need, at half the cost; the
@@ -128,7 +130,7 @@ class KoopmanModel(Estimator):
 
         The path of a file, `tras.open_recording(path)`, an `xarray.Dataset` of such a file, an iterator of recordings, or a callable that returns one: these
         may be larger than memory. See
-        `tras.streaming.absorb` for them, and for the options ``ranges, checkpoint, chunk, progress, every, scheduler, parts, threads``.
+        `tras.large.streaming.absorb` for them, and for the options ``ranges, checkpoint, chunk, progress, every, scheduler, parts, threads``.
 
         Raises
         ------

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tras import generator, koopman, rollout
-from tras.dictionary import Dictionary
+from tras.dictionaries.base import Dictionary
 from tras.hull import Hull
-from tras.stability import stable_change
+from tras.solver.stability import stable_change
 
 
 class Map(NamedTuple):

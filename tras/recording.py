@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 
-
 _RESERVED = ("trajectory", "time", "sample", "row_size")  # columns and dimensions of the table and the file
 
 
@@ -233,7 +232,7 @@ class Recording:
         attribute ``attributes`` holds all of this recording's attributes as JSON, from which `read` has them back exactly; those
         that are single numbers or strings stand beside it under their own names, for ncdump and MATLAB.
         """
-        from tras import netcdf
+        from tras.io import netcdf
 
         return netcdf.to_xarray(self, _attributes(self.attributes))
 
@@ -248,7 +247,7 @@ class Recording:
         ValueError
             If the suffix is none of these, or an attribute set since is none that JSON can hold.
         """
-        from tras import formats
+        from tras.io import formats
 
         formats.write(self, formats.known(path), _attributes(self.attributes))
 
@@ -287,7 +286,7 @@ class Recording:
             If there is no such file.
         ValueError
             If it is damaged, too large, holds what is no number (text, complex, sparse, objects), if roles are not plain, time goes
-            backwards, repeats or is uneven: a `tras.roles.RecordingError` with path and place.
+            backwards, repeats or is uneven: a `tras.io.roles.RecordingError` with path and place.
 
         Examples
         --------
@@ -300,8 +299,8 @@ class Recording:
         >>> recording.attributes["guessed"]
         ['time is column t', 'states are theta', 'inputs are torque', 'the sampling time is 0.1 s']
         """
-        from tras import formats
-        from tras.roles import RecordingError
+        from tras.io import formats
+        from tras.io.roles import RecordingError
 
         path = formats.known(path)
         try:

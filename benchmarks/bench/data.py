@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import tras
-from tras import files
+from tras.workflow import files
 
 sys.path.append(str(Path(__file__).resolve().parent.parent / "peers"))
 import problem as problems  # noqa: E402

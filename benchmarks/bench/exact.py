@@ -8,10 +8,10 @@ import numpy as np
 from scipy import linalg
 
 from benchmarks.bench.data import problems, save
-from tras import leastsquares
+from tras.solver import least_squares as leastsquares
 
-sys.path.append(str(Path(__file__).resolve().parent.parent.parent / "tests"))
-from test_leastsquares import add, columnwise, product  # noqa: E402
+sys.path.append(str(Path(__file__).resolve().parent.parent.parent / "tests" / "solver"))
+from test_least_squares import add, columnwise, product  # noqa: E402
 
 ROWS = 4096
 MOST = 8  # rounds of refinement; three serve where our own solver is good to five digits
@@ -21,7 +21,7 @@ def coefficients(folder, cache):
     """(N, n) of the plain least squares ``psi(y, u) ~ psi(x, u) K``, columns of the states; kept in ``cache`` by the problem's content.
 
     The rows are doubles, lifted once; residuals and their products with the rows are summed in double-double arithmetic, the correction is
-    solved in double with our own triangular factor (refinement, as in `tests/test_leastsquares.py`, where the arithmetic is verified).
+    solved in double with our own triangular factor (refinement, as in `tests/solver/test_least_squares.py`, where the arithmetic is verified).
 
     Raises
     ------

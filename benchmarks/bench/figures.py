@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullFormatter
 
-from tras.figures import require, styled
+from tras.plotting import require, styled
 
 STYLES = {  # marker, colour, line; ours are blue and solid, references black, peers the rest
     "tras": ("o", "#0072B2", "-"),

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.bench import data, exact
 from benchmarks.bench.children import Child, Failed
-from tras import files
+from tras.workflow import files
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 THREADS = dict.fromkeys(

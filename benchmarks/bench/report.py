@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
-from tras import files
+from tras.workflow import files
 
 RESULTS = Path(__file__).resolve().parent.parent / "results"
 ALL_PROCESSORS = "tras, all processors"  # what it gains, the clock tells
@@ -144,7 +144,7 @@ def publish(folder, page):
 def draw(folder):
     """The figures beside the tables."""
     from benchmarks.bench import figures
-    from tras.figures import save_figure
+    from tras.plotting import save_figure
 
     compared, grown, fitted = (read(folder, name) for name in (COMPARED, GROWN, EXPONENTS))
     if compared is not None:

@@ -1,0 +1,340 @@
+"""The explorer without a browser: what comes of a choice, what is said of an impossible one, and the parameter file of it."""
+
+import itertools
+import json
+import re
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from conftest import ROOT
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tras.explorer import choice, explore
+from tras.explorer import figures as figures_explore
+from tras.explorer.choice import Choice, ChoiceError
+from tras.explorer.widgets import Explorer
+from tras.paper import readings
+from tras.workflow import parameters
+
+SMALL = Choice(duration=60.0, input="torque", horizon=3.0)
+PUBLISHED = ROOT / "reference" / "data" / "metrics.csv"
+
+
+@pytest.fixture(scope="module")
+def small():
+    return explore.explore(SMALL)
+
+
+@pytest.fixture(scope="module")
+def panel(tmp_path_factory):
+    return Explorer(SMALL, tmp_path_factory.mktemp("params"))
+
+
+# --- choices -------------------------------------------------------------------------------------------------------------------
+
+WRONG = {
+    "an option": ({"input": "torques"}, "input is 'torques': choose one of reference, torque"),
+    "a size": ({"dictionary": "monomials", "size": 9}, "size is 9: with dictionary = monomials it is the degree, 1 to 5"),
+    "a broken size": ({"size": 2.0}, "size is 2.0"),
+    "a number": ({"noise": -1.0}, "noise is -1.0: give a number from 0 to 20 % of each state's range"),
+    "text for a number": ({"horizon": "6"}, "horizon is '6': give a number"),
+    "not finite": ({"strength": float("nan")}, "strength is nan"),
+    "a broken seed": ({"seed": 1.5}, "seed is 1.5: give a whole number"),
+    "true for a number": ({"delays": True}, "delays is True"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_a_wrong_value_is_refused_in_one_sentence(what):
+    values, sentence = WRONG[what]
+    with pytest.raises(ChoiceError) as caught:
+        Choice(**values)
+    assert sentence in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_an_unknown_name_is_refused():
+    with pytest.raises(ChoiceError, match="there is no 'dictionnary' to choose: there are input, frequency_unit"):
+        choice.choice_of({"dictionnary": "gaussian"})
+
+
+IMPOSSIBLE = {
+    "too short for a line": ({"duration": 20.0}, "raise it or the duration"),
+    "too short for trajectories": ({"duration": 10.0, "frequency_unit": "Hz"}, "too short for 3 trajectories of 5 s"),
+    "too short for a window": ({"duration": 40.0, "horizon": 60.0}, "too short for one horizon of 60 s"),
+    "sampling that does not divide": ({"duration": 100.0, "sampling_time": 0.03}, "duration is 100 s, no whole number of samples of 0.03 s"),
+    "a horizon between samples": ({"sampling_time": 0.02, "horizon": 1.01}, "horizon is 1.01 s, no whole number of samples"),
+    "too many functions": ({"dictionary": "monomials", "size": 5}, "These are 462 functions"),
+    "dependent channels": ({"delays": 4}, "linearly dependent"),
+    "no logarithm": ({"dictionary": "mechanical", "size": 8, "noise": 1.0}, "no principal logarithm exists.*predictor='one_step'"),
+}
+
+
+@pytest.mark.parametrize("what", IMPOSSIBLE)
+def test_an_impossible_choice_is_answered_in_one_sentence(what):
+    changes, sentence = IMPOSSIBLE[what]
+    with pytest.raises(ChoiceError, match=sentence) as caught:
+        explore.explore(SMALL.replaced(**changes))
+    assert "\n" not in str(caught.value)
+
+
+# --- what comes of them --------------------------------------------------------------------------------------------------------
+
+
+def test_the_papers_choice_has_the_published_numbers():
+    """Those of 03_validation, which the notebooks compute on their own way, for the first validation recording."""
+    published = pd.read_csv(PUBLISHED)
+    published = published[(published["kind"] == "window") & (published["input"] == "reference") & (published["recording"] == "multisine 2")]
+    found = explore.explore(Choice()).metrics
+    for ours, theirs in (("Koopman", "gaussian"), ("linear", "linear")):
+        for angle in ("yaw", "pitch"):
+            a = found[(found["model"] == ours) & (found["angle"] == angle)].iloc[0]
+            b = published[(published["model"] == theirs) & (published["angle"] == angle)].iloc[0]
+            np.testing.assert_allclose([a["nrmse"], a["enr"], a["bfr"]], [b["nrmse"], b["enr"], b["bfr"]], rtol=1e-5)
+            assert (a["windows"], a["diverged"]) == (b["windows"], b["diverged"])
+
+
+@pytest.mark.parametrize("dictionary, predictor, state", [*itertools.product(choice.SIZES, choice.OPTIONS["predictor"], choice.OPTIONS["state"])])
+def test_every_dictionary_with_every_predictor(dictionary, predictor, state):
+    """A model as large as was counted beforehand, or a sentence."""
+    usual = choice.SIZES[dictionary][2]
+    chosen = SMALL.replaced(dictionary=dictionary, size=usual, predictor=predictor, state=state, delays=int(state == "delayed_angles"), field="coordinates")
+    try:
+        model = explore.explore(chosen).model
+    except ChoiceError as error:
+        assert str(error).startswith("There is no model: ")
+        return
+    train = explore.training(chosen)
+    assert explore._functions(explore.unfitted(chosen), train) in (len(model.names_), 0)
+    assert (model.predictor, model.delays, model.state_names_) == (predictor, chosen.delays, train.state_names)
+
+
+@pytest.mark.parametrize("dictionary, size", [("exponentials", 2), ("fourier", 2), ("monomials", 3), ("gaussian", 7)])
+def test_functions_are_counted_before_they_are_made(dictionary, size):
+    train = explore.training(SMALL)
+    for delays, predictor in ((0, "vector_field"), (2, "one_step"), (1, "lifted_linear")):
+        model = explore.unfitted(SMALL.replaced(dictionary=dictionary, size=size, delays=delays, predictor=predictor))
+        counted, channels = explore._functions(model, train), train.delayed(delays, inputs=predictor != "vector_field" and delays > 0)
+        lifted = model.dictionary.fit(channels.states[0], channels.inputs[0] if predictor != "lifted_linear" else None)
+        assert counted == len(lifted.names)
+
+
+def test_noise_is_on_the_training_states_alone():
+    quiet, loud = explore.training(SMALL), explore.training(SMALL.replaced(noise=1.0))
+    spread = (loud.states - quiet.states).std(axis=(0, 1)) / np.ptp(np.concatenate(quiet.states), axis=0)
+    np.testing.assert_allclose(spread, 0.01, rtol=0.05)
+    assert np.array_equal(quiet.inputs, loud.inputs)
+    assert np.array_equal(explore.validation_windows(SMALL).states, explore.validation_windows(SMALL.replaced(noise=1.0)).states)
+
+
+def test_recordings_are_simulated_once():
+    assert explore.recording("rad/s", 60.0, 0.01, 1) is explore.recording("rad/s", 60.0, 0.01, 1)
+    assert explore.recording("Hz", 60.0, 0.01, 1) is not explore.recording("rad/s", 60.0, 0.01, 1)
+
+
+def test_the_windows_are_of_another_realisation_than_the_training(small):
+    whole = explore.recording("rad/s", 60.0, 0.01, SMALL.seed + 1).select(inputs=("u_phi", "u_psi"))
+    assert [k for k in range(0, 6000, 300) if np.array_equal(whole.states[0, k : k + 301], small.window.states[0])]
+    assert not np.array_equal(whole.states, explore.recording("rad/s", 60.0, 0.01, SMALL.seed).states)
+
+
+def test_the_overlay_is_the_models_own_prediction(small):
+    for model, name in ((small.model, "koopman"), (small.linear, "linear")):
+        predicted = model.predict(small.window)[0]
+        np.testing.assert_allclose(small.overlay[[f"phi_{name}", f"psi_{name}"]], predicted[:, [0, 2]], rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(small.overlay[["phi_true", "psi_true"]], small.window.states[0][:, [0, 2]])
+
+
+def test_error_growth_ends_where_the_windows_end(small):
+    last = small.growth.groupby(["model", "angle"])["time"].max()
+    assert len(last) == 4 and (np.abs(last - SMALL.horizon) < 0.05).all()
+
+
+def test_what_ran_away_is_counted_and_said():
+    outcome = explore.explore(choice.EXAMPLES["cubic terms, 100 s of data"])
+    row = outcome.metrics[outcome.metrics["model"] == "Koopman"].iloc[0]
+    counted = f"{int(row['diverged'])} of {int(row['windows'])}"
+    assert row["diverged"] > 0 and explore.numbers(outcome).loc["ran away", "Koopman"] == counted
+    assert any(remark.startswith(f"{counted} predictions of the Koopman model ran away") for remark in outcome.remarks)
+
+
+def test_numbers_stand_beside_the_papers(small):
+    table = explore.numbers(small)
+    assert list(table["paper"][["NRMSE (%), yaw", "NRMSE (%), pitch"]]) == ["4.0589", "5.5889"] and set(table["paper"][2:]) == {""}
+    shown = float(table.loc["NRMSE (%), pitch", "linear"])
+    exact = small.metrics[(small.metrics["model"] == "linear") & (small.metrics["angle"] == "pitch")]["nrmse"].iloc[0]
+    assert shown == pytest.approx(exact, rel=1e-3)
+
+
+def test_the_range_changes_the_numbers_and_not_the_predictions(small):
+    other = explore.explore(SMALL.replaced(nrmse_range="trajectory"))
+    pd.testing.assert_frame_equal(other.overlay, small.overlay)
+    assert (other.metrics["nrmse"][:4] > 1.5 * small.metrics["nrmse"][:4]).all()
+
+
+def test_the_picture_shows_truth_models_and_circle(small):
+    figure = figures_explore.outcome_figure(small.overlay, small.growth, small.spectrum)
+    yaw, error, pitch, plane = figure.axes
+    assert [len(panel.lines) for panel in (yaw, pitch, error, plane)] == [3, 3, 4, 3]
+    assert len({str(line.get_linestyle()) for line in yaw.lines}) == 3
+    np.testing.assert_allclose(np.hypot(*plane.lines[0].get_data()), 1)
+    assert figures_explore.png(figure)[:4] == b"\x89PNG"
+
+
+# --- parameter files -----------------------------------------------------------------------------------------------------------
+
+any_choice = st.builds(
+    dict,
+    **{name: st.sampled_from(list(values)) for name, values in choice.OPTIONS.items()},
+    duration=st.floats(20, 1000), sampling_time=st.sampled_from([0.01, 0.02, 0.1]), seed=st.integers(1, 9999), noise=st.floats(0, 20),
+    width=st.floats(0.1, 10), delays=st.integers(0, 5), strength=st.floats(1e-12, 1), horizon=st.floats(1, 60), size=st.just(2),
+).filter(lambda values: values["dictionary"] not in ("exponentials", "fourier") or values["size"] <= 2).map(lambda values: Choice(**values))  # fmt: skip
+
+
+@settings(max_examples=60, deadline=None)
+@given(any_choice)
+def test_a_file_holds_the_whole_choice_and_every_notebook_accepts_its_part(chosen):
+    smoke = yaml.safe_load((ROOT / "params" / "smoke.yaml").read_text())
+    content = parameters.parse_yaml(choice.parameter_text(chosen, "mine", {name: smoke[name] for name in ("05_robustness", "07_comparison")}), "mine.yaml")
+    assert choice.choice_of(content["09_pictures"]["choice"]) == chosen
+    for name, section in content.items():
+        parameters.check_parameters(section, DEFAULTS[name], name)
+    read = readings.Readings(**content["06_readings"]["default"])
+    assert (read.input, read.frequency_unit, read.nrmse_range) == (chosen.input, chosen.frequency_unit, chosen.nrmse_range)
+    assert read.state == chosen.state
+    assert content["01_data_generation"]["train_seed"] == chosen.seed
+
+
+DEFAULTS = {path.stem: parameters.notebook_defaults(path) for path in (ROOT / "notebooks").glob("0*.ipynb")}
+
+
+def test_the_papers_choice_changes_nothing_of_the_papers_parameters():
+    for name, section in choice.parameter_sections(Choice(), {"05_robustness": {"swings": 1}}).items():
+        if name != "09_pictures":
+            assert section == {parameter: DEFAULTS[name][parameter] for parameter in section}
+    assert "05_robustness" not in choice.parameter_sections(Choice(), {"05_robustness": {"swings": 1}})
+
+
+def test_another_experiment_takes_the_small_studies():
+    assert choice.parameter_sections(SMALL, {"05_robustness": {"swings": 1}})["05_robustness"] == {"swings": 1}
+    assert choice.parameter_sections(Choice(frequency_unit="Hz"))["01_data_generation"]["yaw_max_frequency"] == pytest.approx(1.6 * np.pi)
+
+
+def test_a_reading_is_named_where_it_has_a_name():
+    assert Choice(dictionary="monomials", size=3).reading().dictionary == "monomials3"
+    assert Choice(dictionary="monomials", size=4).reading().dictionary == "gaussian"
+    assert Choice(dictionary="gaussian", size=28).reading().dictionary == "gaussian28"
+    assert Choice(dictionary="exponentials", size=2).reading().dictionary == "exponentials"
+    assert Choice(state="delayed_angles", delays=1).reading().state == "delayed_angles"
+    assert Choice(dictionary="gaussian", size=5).reading() == readings.Readings()
+
+
+def test_a_file_with_the_explorers_former_word_is_still_read():
+    assert choice.choice_of({"state": "angles", "delays": 2}) == Choice(state="delayed_angles", delays=2)
+
+
+@pytest.mark.parametrize("name", ["paper", "smoke", "", "../mine", "a b", "mine.yaml"])
+def test_names_that_no_profile_can_have(name, tmp_path):
+    with pytest.raises(ChoiceError, match="NAME is"):
+        choice.write_parameters(Choice(), name, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_of_somebody_else_is_kept_and_ones_own_replaced(tmp_path):
+    (tmp_path / "mine.yaml").write_text("01_data_generation: {duration: 1.0}\n")
+    with pytest.raises(ChoiceError, match="mine.yaml is not the explorer's"):
+        choice.write_parameters(Choice(), "mine", tmp_path)
+    assert "duration: 1.0}" in (tmp_path / "mine.yaml").read_text()
+    choice.write_parameters(Choice(), "other", tmp_path)
+    choice.write_parameters(SMALL, "other", tmp_path)
+    assert "duration: 60.0" in (tmp_path / "other.yaml").read_text()
+
+
+# --- controls ------------------------------------------------------------------------------------------------------------------
+
+
+def words(widget):
+    return re.sub("<[^>]+>", "", widget.value)
+
+
+@pytest.mark.slow
+def test_a_control_changes_picture_numbers_and_message(panel):
+    panel.set(SMALL)
+    before = panel.picture.value, panel.table.value
+    panel.controls["input"].value = "reference"
+    assert panel.outcome.choice == SMALL.replaced(input="reference")
+    assert panel.picture.value != before[0] and panel.table.value != before[1]
+    assert words(panel.message).startswith("N = 9 functions, 5000 snapshot pairs")
+
+
+def test_a_wrong_choice_leaves_the_picture_and_says_why(panel):
+    panel.set(SMALL)
+    before = panel.picture.value, panel.table.value, panel.outcome
+    panel.controls["duration"].value = 20.0
+    assert "cannot be simulated" in words(panel.message) and (panel.picture.value, panel.table.value, panel.outcome) == before
+    panel.controls["duration"].value = 60.0
+    assert words(panel.message).startswith("N = 9")
+
+
+def test_the_size_follows_the_dictionary_and_what_has_no_effect_is_grey(panel, monkeypatch):
+    monkeypatch.setattr(panel, "redraw", panel._enable)
+    panel.set(SMALL.replaced(size=150))
+    panel.controls["dictionary"].value = "monomials"
+    assert (panel.controls["size"].value, panel.controls["size"].max) == (2, 5)
+    assert panel.controls["width"].disabled and panel.controls["strength"].disabled and not panel.controls["size"].disabled
+    panel.controls["regularization"].value = "shrink"
+    assert not panel.controls["strength"].disabled
+    panel.controls["dictionary"].value = "gaussian"
+    assert panel.controls["size"].max == 200 and not panel.controls["width"].disabled
+    panel.controls["predictor"].value = "one_step"
+    assert panel.controls["field"].disabled
+
+
+def test_a_change_of_the_dictionary_is_drawn_once(panel, monkeypatch):
+    panel.set(SMALL)
+    drawn = []
+    monkeypatch.setattr(panel, "redraw", lambda: drawn.append(panel.choice))
+    panel.controls["dictionary"].value = "mechanical"
+    assert drawn == [SMALL.replaced(dictionary="mechanical", size=8)]
+
+
+def test_examples_are_put_into_the_controls(panel, monkeypatch):
+    monkeypatch.setattr(panel, "redraw", lambda: None)
+    for _, example in panel.example.options[1:]:
+        panel.example.value = example
+        assert panel.choice == example
+    panel.set(SMALL.replaced(sampling_time=0.025))
+    assert panel.choice.sampling_time == 0.025
+
+
+def test_sliders_act_when_they_are_let_go(panel):
+    late = [control for control in panel.controls.values() if hasattr(control, "continuous_update")]
+    assert len(late) >= 7 and not any(control.continuous_update for control in late if "Slider" in type(control).__name__)
+
+
+def test_the_button_writes_the_choice(panel):
+    panel.set(SMALL)
+    panel.name.value = "paper"
+    panel.button.click()
+    assert "choose another name" in words(panel.answer)
+    panel.name.value = "own-1"
+    panel.button.click()
+    assert words(panel.answer) == "own-1.yaml is written: make all PROFILE=own-1"
+    assert choice.choice_of(yaml.safe_load((panel.folder / "own-1.yaml").read_text())["09_pictures"]["choice"]) == SMALL
+
+
+@pytest.mark.slow
+def test_the_notebook_runs_from_its_own_folder(monkeypatch):
+    """Its cells one after the other, without a kernel; tests/test_browser.py does it in JupyterLab."""
+    monkeypatch.chdir(ROOT / "notebooks")
+    cells = [cell for cell in json.loads(Path("explore.ipynb").read_text())["cells"] if cell["cell_type"] == "code"]
+    monkeypatch.setattr("tras.paper.figures.animation.movie", lambda *_, **__: SimpleNamespace(to_jshtml=lambda **_: "<div>"))  # tests/test_animation.py
+    names = {}
+    for cell in cells:
+        exec("".join(cell["source"]), names)
+    assert names["explorer"].choice == Choice()
+    assert list(dict.fromkeys(names["table"]["model"])) == ["true", "Gaussian RBF", "mechanical"]

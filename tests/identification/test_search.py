@@ -1,0 +1,81 @@
+"""The choice among models: the right one wins, by errors on data that no candidate saw, and failures are told."""
+
+import numpy as np
+import pytest
+from conftest import linear_system
+
+import tras
+from tras.fitting import hold_out
+
+TORQUES = ["u_phi", "u_psi"]
+
+
+@pytest.fixture(scope="module")
+def torque_data(experiment):
+    return experiment.select(inputs=TORQUES)
+
+
+@pytest.mark.slow
+def test_a_mechanical_system_gets_the_mechanical_dictionary(torque_data):
+    model, table = tras.choose(torque_data, [tras.KoopmanModel(d) for d in (tras.Monomials(1), tras.Monomials(2), tras.Mechanical(6))])
+    assert isinstance(model.dictionary, tras.Mechanical) and model.pairs_ == torque_data.pairs
+    assert list(table["chosen"]) == [False, False, True] and table["error"].idxmin() == 2
+    assert table["error"].iloc[2] < 0.1 * table["error"].iloc[0] and list(table["functions"]) == [7, 28, 63]
+
+
+def test_the_error_is_that_of_the_held_out_roll_outs(torque_data):
+    """By hand: fit without every fifth trajectory, predict those, root mean square in half-ranges."""
+    _, table = tras.choose(torque_data, [tras.KoopmanModel(tras.Monomials(1), "one_step")])
+    train, held = hold_out(torque_data)
+    predicted = tras.KoopmanModel(tras.Monomials(1), "one_step").fit(train).predict(held)
+    error = (predicted - held.states) / (np.ptp(held.states, axis=(0, 1)) / 2)
+    assert table["error"].iloc[0] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
+    assert not {x.tobytes() for x, _ in train} & {x.tobytes() for x, _ in held}
+
+
+def test_delays_are_compared_from_the_same_instant():
+    """With only the position recorded, one delay makes the oscillator predictable; the table says by how much."""
+    full = linear_system([[0, 1], [-2, -0.1]], [[0], [1]], 0.1, trajectories=20, samples=80)[0]
+    position = tras.Recording(full.states[..., :1], full.inputs, 0.1)
+    models = [tras.KoopmanModel(tras.Monomials(1), "one_step", delays) for delays in (0, 1, 2)]
+    model, table = tras.choose(position, models[:2])
+    assert model.delays == 1 and table["error"].iloc[1] < 1e-9 < 0.1 < table["error"].iloc[0]
+    assert list(table["candidate"]) == ["Monomials(degree=1)", "Monomials(degree=1), 1 delays"]
+    again = tras.choose(position, models)[1]
+    assert again["error"].iloc[1] < 1e-9
+    # Without delays too the prediction begins at the third sample when another model needs two before it.
+    train, held = hold_out(position)
+    late = tras.Recording(held.states[:, 2:], held.inputs[:, 2:], 0.1)
+    error = (models[0].fit(train).predict(late) - late.states) / (np.ptp(held.states) / 2)
+    assert again["error"].iloc[0] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
+
+
+def test_what_cannot_be_fitted_says_why_and_the_rest_compete(torque_data):
+    few = torque_data[:8].cut(21)
+    models = [tras.KoopmanModel(tras.Monomials(5), "one_step", regularization=None), tras.KoopmanModel(tras.Monomials(1), "one_step")]
+    few = few[list(range(20))]
+    model, table = tras.choose(few, models)
+    assert model.dictionary.degree == 1 and "cannot determine 462 functions" in table["failure"].iloc[0] and np.isinf(table["error"].iloc[0])
+
+
+def test_candidates_fit_the_recording(torque_data):
+    kinds = [type(model.dictionary).__name__ for model in tras.candidates(torque_data)]
+    assert kinds == ["Monomials"] * 4 + ["GaussianRBF"] * 2 + ["Mechanical"]
+    small = [model.dictionary for model in tras.candidates(torque_data[[0]].cut(31)[[0]])]
+    assert [type(d).__name__ for d in small] == ["Monomials", "Mechanical"]
+    wide = tras.Recording(np.random.default_rng(0).standard_normal((10, 500, 31)), dt=0.1)
+    assert all(getattr(model.dictionary, "degree", 1) == 1 for model in tras.candidates(wide))
+    assert not any(isinstance(m.dictionary, tras.Mechanical) for m in tras.candidates(torque_data, "one_step", delays=1))
+
+
+@pytest.mark.parametrize(
+    "call, words",
+    [
+        (lambda r: tras.choose(r, []), "models holds no candidate"),
+        (lambda r: tras.choose(r[[0]].cut(11)[[0]], [tras.KoopmanModel(tras.Monomials(1))]), "10 snapshot pairs, too few to hold"),
+        (lambda r: tras.choose(r[:6].cut(11)[list(range(20))], [tras.KoopmanModel(tras.Monomials(4), regularization=None)]), "none of the 1 candidates could be fitted; the last one because"),
+    ],
+)
+def test_mistakes_are_named(call, words, torque_data):
+    with pytest.raises(ValueError, match=words):
+        call(torque_data)

@@ -1,0 +1,597 @@
+"""Recordings in files of other tools: columns and their roles, times, gaps, damage."""
+
+import json
+import zlib
+
+import h5py
+import numpy as np
+import pandas
+import pyarrow
+import pyarrow.parquet
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.io import loadmat, savemat
+
+import tras
+from tras.io import matfile5, sampling
+from tras.io.roles import assign, guess_role
+
+R = tras.Recording
+OWN = (".nc", ".csv", ".parquet", ".mat")
+finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
+names = st.text(min_size=1, max_size=8).filter(
+    lambda text: text not in ("trajectory", "time", "sample", "row_size", ".") and not set(text) & set("/\0") and text.isprintable()
+)
+LOGGER = "t [s];phi [deg];u1 [V]\n0,00;1,5;-1\n0,01;2,5;-1\n0,02;1e-3;2,25\n"
+
+
+def same(a, b):
+    labels = ("dt", "state_names", "input_names", "state_units", "input_units", "attributes")
+    return all(repr(getattr(a, key)) == repr(getattr(b, key)) for key in labels) and all(
+        x.tobytes() == y.tobytes() and u.tobytes() == v.tobytes() for (x, u), (y, v) in zip(a, b, strict=True)
+    )
+
+
+def write(path, text):
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def said(recording):
+    return " ".join(tras.remarks(recording))
+
+
+# --- round trips -------------------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=40, deadline=None)
+@given(lengths=st.lists(st.integers(1, 6), min_size=1, max_size=4), n=st.integers(1, 3), m=st.integers(0, 2), data=st.data())
+def test_round_trips_are_exact(lengths, n, m, data, tmp_path_factory):
+    draw = lambda k, c: np.array(data.draw(st.lists(finite, min_size=k * c, max_size=k * c))).reshape(k, c)  # noqa: E731
+    labels = data.draw(st.lists(names, min_size=n + m, max_size=n + m, unique=True))
+    units = data.draw(st.lists(st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=5), min_size=n, max_size=n))
+    recording = R([draw(k, n) for k in lengths], [draw(k, m) for k in lengths], data.draw(st.floats(1e-6, 1e6)), state_names=labels[:n],
+                  input_names=labels[n:], state_units=units, attributes={"seed": 3, "nested": [None, {"a": 0.1}]})  # fmt: skip
+    folder = tmp_path_factory.mktemp("own")
+    for suffix in OWN[1:]:
+        path = folder / f"a{suffix}"
+        recording.write(path)
+        assert same(R.read(path), recording), suffix
+
+
+@pytest.mark.parametrize("suffix", OWN[1:])
+def test_same_content_same_bytes(suffix, experiment, tmp_path):
+    for name in "ab":
+        experiment.write(tmp_path / f"{name}{suffix}")
+    assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+    assert same(R.read(tmp_path / f"a{suffix}"), experiment)
+
+
+def test_other_tools_open_ours(experiment, tmp_path):
+    for suffix in OWN[1:]:
+        experiment.write(tmp_path / f"a{suffix}")
+    table = pandas.read_csv(tmp_path / "a.csv", comment="#")
+    assert np.array_equal(table["phidot"], np.concatenate(experiment.states)[:, 1])
+    assert pandas.read_parquet(tmp_path / "a.parquet").equals(experiment.to_frame())
+    content = loadmat(tmp_path / "a.mat", simplify_cells=True)
+    assert np.array_equal(np.stack(content["states"]), experiment.states) and list(content["state_names"]) == list(experiment.state_names)
+
+
+@pytest.mark.parametrize("suffix", [".nc", ".parquet", ".mat"])
+def test_a_changed_number_is_noticed(suffix, tmp_path):
+    R(np.arange(12.0).reshape(1, 6, 2), dt=0.1).write(path := tmp_path / f"a{suffix}")
+    if suffix == ".nc":
+        with h5py.File(path, "r+") as file:
+            file["x2"][3] += 1e-12
+    elif suffix == ".mat":
+        content = {key: value for key, value in loadmat(path).items() if key[0] != "_"}
+        content["states"][0, 0][3, 1] += 1e-12
+        savemat(path, content)
+    else:
+        table = pyarrow.parquet.read_table(path)
+        column = np.array(table["x1"]) + np.eye(6)[2] * 1e-12
+        pyarrow.parquet.write_table(table.set_column(2, "x1", pyarrow.array(column)), path)
+    with pytest.raises(tras.RecordingError, match="not fit its checksum"):
+        R.read(path)
+
+
+# --- text --------------------------------------------------------------------------------------------------------------------------
+
+PLAIN = np.array([[1.5], [2.5], [1e-3]]), np.array([[-1.0], [-1.0], [2.25]])
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        LOGGER,
+        LOGGER.replace("\n", "\r\n").encode("utf-8-sig"),
+        LOGGER.encode("utf-16"),
+        "sep=;\n" + LOGGER,
+        "# logger 3, channel map 7\n\n" + LOGGER.replace(";\n", "\n"),
+        LOGGER.replace(",", ".").replace(";", "\t"),
+        LOGGER.replace(",", ".").replace(";", ","),
+        LOGGER.replace(",", ".").replace(";", ",").replace("\n", ",\n"),
+        "t,phi,u1\ns,deg,V\n0.00,1.5,-1\n0.01,2.5,-1\n0.02,1e-3,2.25\n",
+        "t,phi,u1\n[s],[deg],[V]\n0.00,1.5,-1\n0.01,2.5,-1\n0.02,1e-3,2.25",
+        "t (ms),phi (deg),u1 (V)\n0,1.5,-1\n10,2.5,-1\n20,0.001,2.25\n",
+        "comment,t [s],phi [deg],u1 [V]\nstart,0.00,1.5,-1\n,0.01,2.5,-1\n\"a, b\",0.02,1e-3,2.25\n",
+        't [s],phi [deg],u1 [V]\n"0,00","1,5",-1\n"0,01","2,5",-1\n"0,02","0,001","2,25"\n',
+        "time,phi [deg],u1 [V]\n2026-02-28 23:59:59.990,1.5,-1\n2026-03-01 00:00:00.000,2.5,-1\n2026-03-01 00:00:00.010,1e-3,2.25\n",
+    ],
+)
+def test_tables_as_loggers_and_spreadsheets_write_them(content, tmp_path):
+    recording = R.read(write(tmp_path / "log.csv", content))
+    assert np.array_equal(recording.states[0], PLAIN[0]) and np.array_equal(recording.inputs[0], PLAIN[1])
+    assert recording.dt == 0.01
+    assert (recording.state_names, recording.input_names, recording.state_units, recording.input_units) == (("phi",), ("u1",), ("deg",), ("V",))
+    assert "states are phi." in said(recording) and "sampling time is 0.01 s" in said(recording)
+
+
+def test_names_in_a_comment_and_blanks_between(tmp_path):
+    np.savetxt(tmp_path / "a.csv", np.column_stack([np.arange(4) * 0.5, np.eye(4)[:, :2]]), header="t q qdot")
+    recording = R.read(tmp_path / "a.csv")
+    assert np.array_equal(recording.states[0], np.eye(4)[:, :2]) and recording.dt == 0.5
+
+
+def test_western_spreadsheets_write_degrees_in_their_own_encoding(tmp_path):
+    assert R.read(write(tmp_path / "a.csv", "t,phi [°]\n0,1\n1,2\n".encode("cp1252"))).state_units == ("°",)
+
+
+def table(rows, header="t,q,u"):
+    return header + "\n" + "".join(",".join(map(str, row)) + "\n" for row in rows)
+
+
+EVEN = [(k / 10, k * k, -k) for k in range(8)]
+
+
+def changed(row, column, value):
+    return table([tuple(value if (i, j) == (row, column) else cell for j, cell in enumerate(cells)) for i, cells in enumerate(EVEN)])
+
+
+@pytest.mark.parametrize(
+    "content, words",
+    [
+        ("", "it has no rows"),
+        ("\n\n", "it has no rows"),
+        ("t,q,u\n", "a header but no row"),
+        ("a,b,c\n1,2,3\n2,3,4\n", r"no column is plainly a state or an output; the file has the columns a, b, c; .*\n    time: a\n    states: \[b\]\n    inputs: \[c\]"),
+        ("q,u\n1,2\n2,3\n", "no column is plainly time"),
+        ("t,time,q\n1,1,3\n2,2,4\n", "t and time could each be the column of time"),
+        ("0,1\n1,2\n", "no names above them"),
+        ("t,q,q\n0,1,2\n1,2,3\n", "name 'q' twice"),
+        ("t,q,u\n0,1,2\n1,2\n", "line 3: it has 2 cells but the header has 3"),
+        ("t,q,u\n0,0,1,5,2,0\n0,1,1,5,2,0\n", "line 2: it has 6 cells .* comma the decimal sign too.* ';'"),
+        (changed(3, 1, "abc"), "line 5, column 'q': 'abc' is no number"),
+        (changed(3, 1, "1_000"), "line 5, column 'q': '1_000' is no number"),
+        (changed(3, 1, "\u0663"), "line 5, column 'q': '\u0663' is no number"),
+        (changed(3, 1, '"1,000"'), "line 5, column 'q': '1,000' is no number"),
+        ("t;q\n0,1;1,5\n0,2;1.5\n0,3;2\n", "line 3, column 'q': '1.5' is no number where others have a decimal comma"),
+        (changed(3, 1, '"1'), "line 9: unexpected end of data; look for a quotation mark"),
+        (changed(3, 0, 0.2), "line 5: the time 0.2 s in column 't' stands there twice"),
+        (changed(3, 0, 0.1), "line 5: time goes backwards in column 't', from 0.2 to 0.1 s; .*`trial: t`"),
+        (changed(7, 0, 0.75), "time is uneven in column 't': 1 of 7 steps differ from the median, 0.1 s, by more than 1 %, the first at line 9;.* between 0.1 and 0.15 s.*resample=0.1 "),
+        (table([(0, 1, "")] * 3), "no two rows in succession are complete"),
+        (table([(0, 1, 1, "a"), (1, 2, 2, "b"), (2, 1, 1, "a")], "t,q,u,run"), "line 4: trial a of column 'run' begins a second time"),
+        (table([(0, 1, 1, ""), (1, 2, 2, "b")], "t,q,u,run"), "line 2: the trial's column 'run' is empty"),
+        (table(EVEN, "t [rpm],q,u"), "has the unit 'rpm'; give one of s"),
+        (b"t,q\n0,\x00\x01\n", "zero byte near line 2"),
+        (b"\xff\xfe\x00\xd8\x00", "it is no text"),
+        ('# tras recording 2: {"format": \n', "line 1: its JSON is damaged"),
+        ('# tras recording 2: {"format": "tras recording 9"}\na\n1\n', "its format is 'tras recording 9'"),
+        ("t," * 20000 + "\n" + "1," * 20000 + "\n", "20001 columns; up to 10000"),
+    ],
+)
+def test_what_is_wrong_with_a_table_is_one_sentence_with_its_place(content, words, tmp_path):
+    with pytest.raises(tras.RecordingError, match=f"(?s)^{tmp_path}/log.csv: .*{words}"):
+        R.read(write(tmp_path / "log.csv", content))
+
+
+@pytest.mark.parametrize("cell", ["", "NaN", "inf", "#N/A", "-"])
+def test_trajectories_are_cut_where_a_value_is_missing(cell, tmp_path):
+    path = write(tmp_path / "a.csv", changed(3, 1, cell))
+    recording = R.read(path)
+    assert [x[:, 0].tolist() for x in recording.states] == [[0, 1, 4], [16, 25, 36, 49]] and recording.inputs[1][0] == -4
+    assert "missing (empty, NaN or infinite) in 1 rows, the first: q at line 5; cut the trajectories there: 2 are left" in said(recording)
+    with pytest.raises(tras.RecordingError, match="in 1 rows, the first: q at line 5; repair"):
+        R.read(path, missing="refuse")
+
+
+def test_a_missing_time_and_a_single_row_between_two_gaps(tmp_path):
+    rows = [list(row) for row in EVEN]
+    rows[2][0], rows[4][2] = "", "nan"
+    recording = R.read(write(tmp_path / "a.csv", table(rows)))
+    assert list(recording.lengths) == [2, 3] and recording.dt == 0.1
+    assert "t at line 4; u at line 6" in said(recording) and "left out 1 single samples" in said(recording)
+
+
+def test_constant_columns_are_noticed(tmp_path):
+    assert "u is constant (5)" in said(R.read(write(tmp_path / "a.csv", table([(k, k, 5) for k in range(4)]))))
+
+
+def test_trials_by_column_and_by_time_that_starts_again(tmp_path):
+    rows = [(k / 10, k + 10 * run, 0, f"run {run}") for run, length in enumerate((3, 5)) for k in range(length)]
+    recording = R.read(write(tmp_path / "a.csv", table(rows, "t,q,u,run")))
+    assert list(recording.lengths) == [3, 5] and recording.states[1][0, 0] == 10
+    assert same(R.read(tmp_path / "a.csv", {"trial": "t"})[1], R.read(tmp_path / "a.csv", {"trial": "t"})[[1]])
+    assert list(R.read(tmp_path / "a.csv", {"trial": "t"}).lengths) == [3, 5]
+    with pytest.raises(tras.RecordingError, match="line 5: time goes backwards"):
+        R.read(tmp_path / "a.csv", {"trial": None})
+
+
+def test_jitter_is_tolerated_as_said_and_resampled_only_when_asked(tmp_path):
+    rng = np.random.default_rng(0)
+    t = np.arange(200) * 0.01 + rng.uniform(-1, 1, 200) * 0.001
+    path = write(tmp_path / "a.csv", table(zip(t, 3 * t + 1, np.floor(t * 10))))
+    with pytest.raises(tras.RecordingError, match="time is uneven"):
+        R.read(path)
+    assert R.read(path, tolerance=0.25).dt == pytest.approx(0.01, rel=1e-3)
+    recording = R.read(path, resample=0.004)
+    grid = t[0] + 0.004 * np.arange(len(recording.states[0]))
+    assert np.allclose(recording.states[0, :, 0], 3 * grid + 1, atol=1e-12) and grid[-1] <= t[-1] < grid[-1] + 0.004  # linear: exact on a line
+    held = [np.floor(t * 10)[t <= instant + 1e-12][-1] for instant in grid]
+    assert np.array_equal(recording.inputs[0, :, 0], held)
+    assert recording.dt == 0.004 and "linear for states, the last value held for inputs" in said(recording)
+
+
+def test_resampling_at_the_sampling_time_changes_nothing(tmp_path):
+    t = np.arange(1000) * 0.01
+    path = write(tmp_path / "a.csv", table(zip(t, np.sin(t), np.arange(1000))))
+    recording = R.read(path, resample=0.01)
+    assert np.array_equal(recording.inputs[0, :, 0], np.arange(1000)) and np.allclose(recording.states[0, :, 0], np.sin(t), atol=1e-15)
+
+
+@pytest.mark.parametrize("dt", [0.01, 1 / 30, 0.1, 0.002, 1 / 3, 7.0])
+@pytest.mark.parametrize("digits", [None, 6])
+@pytest.mark.parametrize("start", [0.0, 1234.5, 1.7e9])
+def test_the_sampling_time_is_the_plain_number_behind_the_stamps(dt, digits, start):
+    t = start + np.arange(500) * dt
+    t = t if digits is None else np.round(t, digits)
+    found = sampling._plain_step(t)
+    if len(repr(dt)) < 6:
+        assert found == dt
+    # Rounding of both ends, over the whole length.
+    assert abs(found - dt) <= 3 * (1e-6 * (digits is not None) + 4 * np.spacing(t[-1])) / 499 + 1e-15
+
+
+# --- roles -------------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "role, words",
+    [
+        ("time", "t T time Time_ms timestamp t_s time_stamp"),
+        ("trial", "run trial_no Episode experimentId"),
+        ("states", "q q1 qd dq2 x x_3 xdot y12 theta thetaDot theta_dot PHI yaw_rate motorAngle state position_x vel"),
+        ("inputs", "u u1 U_2 u_phi input3 torque motorTorque tau_1 tau_yaw pwm left_voltage cmd"),
+        (None, "ref theta_ref u_ref phi_u setpoint torque_angle temperature quantity uptime note column1 index error xray"),
+    ],
+)
+def test_plain_names(role, words):
+    assert {name: guess_role(name) for name in words.split()} == dict.fromkeys(words.split(), role)
+
+
+@pytest.mark.parametrize(
+    "roles, words",
+    [
+        ({"state": ["q"]}, "the key 'state'; it knows time, states"),
+        ({"states": ["Q"]}, r"no column 'Q'.*the columns t, q, u, foo"),
+        ({"states": ["fo"]}, r"no column 'fo' \(did you mean 'foo'\?\)"),
+        ({"states": ["q"], "inputs": ["q"]}, "column 'q' has two roles"),
+        ({"states": 3}, "states is 3; give a list"),
+        ({"time": ["t"]}, "time is .'t'.; give the name of one column"),
+        ({"units": ["rad"]}, "units is .*; give name: unit"),
+        ({"dt": -1}, "dt is -1; give the sampling time"),
+        ({"time": None}, "no column is plainly time, and no sampling time is given"),
+    ],
+)
+def test_mistakes_in_roles_are_named(roles, words):
+    with pytest.raises(tras.RecordingError, match=words):
+        assign(["t", "q", "u", "foo"], roles, {})
+
+
+def test_roles_of_a_yaml_file(tmp_path):
+    path = write(tmp_path / "a.csv", "stamp,a,b,c\n0,1,2,3\n20,4,5,6\n")
+    roles = write(tmp_path / "roles.yaml", "time: stamp\noutputs: [b, a]\ninputs: c\nunits: {stamp: ms, a: rad, c: N m}\n")
+    recording = R.read(path, roles)
+    assert recording.states.tolist() == [[[2, 1], [5, 4]]] and recording.inputs.tolist() == [[[3], [6]]] and recording.dt == 0.02
+    assert recording.state_units == ("", "rad") and recording.input_units == ("N m",)
+    for content, words in (("- a", "holds no mapping"), ("a: [", "is no YAML"), ("!!python/object/apply:os.system [ls]", "is no YAML")):
+        with pytest.raises(tras.RecordingError, match=words):
+            R.read(path, write(roles, content))
+    with pytest.raises(tras.RecordingError, match="cannot be opened"):
+        R.read(path, tmp_path / "none.yaml")
+
+
+def test_without_time_dt_is_given(tmp_path):
+    path = write(tmp_path / "a.csv", "q,u\n1,2\n3,4\n")
+    assert R.read(path, dt=0.5).dt == R.read(path, {"dt": 0.5}).dt == 0.5
+    with pytest.raises(tras.RecordingError, match="dt is -1"):
+        R.read(path, dt=-1)
+    with pytest.raises(tras.RecordingError, match="differ from the given dt, 0.2 s"):
+        R.read(write(tmp_path / "b.csv", table(EVEN)), dt=0.2)
+
+
+# --- Parquet -----------------------------------------------------------------------------------------------------------------------
+
+
+def test_parquet_of_other_tools(tmp_path):
+    frame = pandas.DataFrame({
+        "timestamp": pandas.date_range("2026-01-01", periods=6, freq="20ms"), "run": ["a"] * 3 + ["b"] * 3, "theta.x": np.float32([1, 2, 3, 4, np.nan, 6]),
+        "u1": pandas.array([1, 2, 3, 4, 5, 6], dtype="Int64"), "on": [True] * 6, "note": ["x"] * 6,
+    }, index=[5, 4, 3, 2, 1, 0])  # fmt: skip
+    frame.to_parquet(tmp_path / "a.parquet")
+    recording = R.read(tmp_path / "a.parquet", {"inputs": ["u1", "on"]}, missing="cut")
+    assert list(recording.lengths) == [3] and recording.dt == 0.02 and recording.states[0, :, 0].tolist() == [1, 2, 3]
+    assert recording.inputs[0].tolist() == [[1, 1], [2, 1], [3, 1]] and "theta.x at row 5" in said(recording)
+    with pytest.raises(tras.RecordingError, match="column 'note' holds (large_)?string, not numbers"):
+        R.read(tmp_path / "a.parquet", {"states": ["note"]})
+
+
+@pytest.mark.parametrize("metadata", [None, {b"trbs": b"{}"}])
+def test_a_parquet_of_ours_that_lost_its_description_is_refused(metadata, experiment, tmp_path):
+    """Its columns have plain names: guessed, it would be read with other units and nothing to check it by."""
+    experiment.write(tmp_path / "a.parquet")
+    table = pyarrow.parquet.read_table(tmp_path / "a.parquet").replace_schema_metadata(metadata)
+    pyarrow.parquet.write_table(table, tmp_path / "b.parquet")
+    for roles in (None, {"states": ["phi"], "time": "time", "trial": "trajectory"}):
+        with pytest.raises(tras.RecordingError, match="has lost its own description"):
+            R.read(tmp_path / "b.parquet", roles)
+    pandas.read_parquet(tmp_path / "a.parquet").to_parquet(tmp_path / "c.parquet")  # another tool's file by now
+    assert R.read(tmp_path / "c.parquet", {"states": ["phi"], "inputs": []}).state_names == ("phi",)
+
+
+def test_parquet_units_and_nested_columns(tmp_path):
+    fields = [pyarrow.field(name, pyarrow.float64(), metadata={"unit": unit}) for name, unit in (("t", "ms"), ("q", "rad"))]
+    table = pyarrow.table([[0.0, 5.0], [1.0, 2.0]], schema=pyarrow.schema(fields)).append_column("x", [[[1.0], [2.0, 3.0]]])
+    pyarrow.parquet.write_table(table, tmp_path / "a.parquet")
+    assert R.read(tmp_path / "a.parquet", {"states": "q"}).dt == 0.005
+    assert R.read(tmp_path / "a.parquet", {"states": "q"}).state_units == ("rad",)
+    with pytest.raises(tras.RecordingError, match="column 'x' holds list"):
+        R.read(tmp_path / "a.parquet")
+
+
+# --- MATLAB ------------------------------------------------------------------------------------------------------------------------
+
+K = 7
+TIME = np.arange(K) * 0.25
+X, U = np.random.default_rng(0).normal(size=(K, 2)), np.random.default_rng(1).normal(size=(K, 1))
+
+
+def cell(*values):
+    array = np.empty((1, len(values)), dtype=object)
+    array[0, :] = values
+    return array
+
+
+def fields(trials):
+    return np.array([tuple(trial.values()) for trial in trials], dtype=[(key, object) for key in trials[0]])
+
+
+SHORT = slice(0, 4)
+LAYOUTS = {
+    "variables": {"t": TIME[:, None], "x": X, "u": U},
+    "rows instead of columns": {"t": TIME[None], "x": X.T, "u": U.T},
+    "one struct": {"log": {"t": TIME, "x": X, "u": U, "Info": "rig 3"}},
+    "sampling time": {"x": X, "u": U, "Ts": 0.25},
+    "sampling rate": {"log": {"x": X, "u": U, "fs": 4.0}},
+    "timeseries-like": {"x": {"Time": TIME, "Data": X}, "u": {"Time": TIME, "Data": U.reshape(1, 1, K)}},
+    "timeseries in a struct": {"out": {"x": {"Time": TIME, "Data": X}, "u": {"Time": TIME, "Data": U}}},
+    "structure with time": {"out": {"time": TIME, "signals": fields([{"values": X, "label": "x"}, {"values": U, "label": "u"}])}},
+}
+TRIALS = {
+    "cells of matrices": {"t": cell(TIME, TIME[SHORT]), "x": cell(X, X[SHORT]), "u": cell(U, U[SHORT])},
+    "cells, sampling time": {"x": cell(X, X[SHORT]), "u": cell(U, U[SHORT]), "dt": 0.25},
+    "a cell of structs": {"runs": cell({"t": TIME, "x": X, "u": U}, {"t": TIME[SHORT], "x": X[SHORT], "u": U[SHORT]})},
+    "an array of structs": {"data": {"runs": fields([{"t": TIME, "x": X, "u": U}, {"t": TIME[SHORT], "x": X[SHORT], "u": U[SHORT]}])}},
+}
+
+
+def hdf(path, variables):
+    """A file as MATLAB saves it with -v7.3: arrays transposed, cells and fields of struct arrays as references, texts as uint16."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, value in variables.items():
+            _hdf_value(file, file, name, value)
+    with open(path, "r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(116) + b" " * 8 + b"\x00\x02IM")
+
+
+def _hdf_value(file, group, name, value):
+    if isinstance(value, dict):
+        item = group.create_group(name)
+        item.attrs["MATLAB_class"] = np.bytes_("struct")
+        for key, inner in value.items():
+            _hdf_value(file, item, key, inner)
+    elif isinstance(value, np.ndarray) and value.dtype.names:
+        item = group.create_group(name)
+        item.attrs["MATLAB_class"] = np.bytes_("struct")
+        for key in value.dtype.names:
+            item.create_dataset(key, data=_references(file, value[key].ravel()), dtype=h5py.ref_dtype)
+    elif isinstance(value, np.ndarray) and value.dtype == object:
+        group.create_dataset(name, data=_references(file, value.ravel()), dtype=h5py.ref_dtype).attrs["MATLAB_class"] = np.bytes_("cell")
+    elif isinstance(value, str):
+        group.create_dataset(name, data=np.array([[ord(letter)] for letter in value], dtype="u2")).attrs["MATLAB_class"] = np.bytes_("char")
+    else:
+        group.create_dataset(name, data=np.atleast_2d(np.asarray(value, dtype=float)).T).attrs["MATLAB_class"] = np.bytes_("double")
+
+
+def _references(file, values):
+    store = file.require_group("#refs#")
+    found = []
+    for value in values:
+        name = f"r{len(store)}"
+        _hdf_value(file, store, name, value)
+        found.append(store[name].ref)
+    return np.array([found], dtype=h5py.ref_dtype).T
+
+
+WRITERS = {"v5": savemat, "v5 compressed": lambda path, content: savemat(path, content, do_compression=True), "v7.3": hdf}
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+@pytest.mark.parametrize("layout", [*LAYOUTS, *TRIALS])
+def test_matlab_files(writer, layout, tmp_path):
+    WRITERS[writer](tmp_path / "a.mat", LAYOUTS.get(layout) or TRIALS[layout])
+    recording = R.read(tmp_path / "a.mat")
+    assert recording.dt == 0.25 and recording.state_names == ("x1", "x2") and recording.input_names == ("u",)
+    lengths = [K] if layout in LAYOUTS else [K, 4]
+    assert list(recording.lengths) == lengths
+    for (x, u), length in zip(recording, lengths):
+        assert np.array_equal(x, X[:length]) and np.array_equal(u, U[:length])
+
+
+class Rig:
+    pass
+
+
+@pytest.mark.parametrize(
+    "content, words",
+    [
+        ({"x": X + 1j, "t": TIME}, "variable 'x' holds complex numbers"),
+        ({"x": __import__("scipy.sparse").sparse.csc_matrix(X), "t": TIME}, "variable 'x' holds a sparse matrix"),
+        ({"name": "nothing here"}, "no signals in it: of 'name' none is"),
+        ({}, "no signals in it"),
+        ({"x": np.zeros((3, 4, 5)), "t": TIME}, "'x' has the size 3 x 4 x 5; save a matrix .* per trial"),
+        ({"x": cell(X, X), "u": cell(U)}, "different numbers of trials: x 2, u 1"),
+        ({"r": cell({"t": TIME, "x": X}, {"t": TIME, "y": X})}, "trial 2 has t, y1, y2 but the first has t, x1, x2"),
+        ({"x": {"Time": TIME, "Data": X}, "u": {"Time": TIME + 1, "Data": U}}, "'u' has other times"),
+        ({"x": X, "dt": 0.1, "Ts": 0.2}, "the sampling times in it are"),
+        ({"x": X}, "no column is plainly time"),
+        ({"a": {"a": {"a": {"a": {"a": {"a": {"a": {"a": {"a": {"a": X}}}}}}}}}}, "nested more than 8 deep"),
+        ({"x": {"Time": np.zeros((0, 1)), "Data": np.zeros((1, 1, 0))}}, "no rows of numbers"),
+        ({"t": TIME[::-1], "x": X}, "row 2: time goes backwards"),
+        ({"t": cell(TIME, TIME[::-1]), "x": cell(X, X)}, "trial 2, row 2: time goes backwards"),
+    ],
+)
+def test_what_matlab_files_cannot_hold(content, words, tmp_path):
+    savemat(tmp_path / "a.mat", content)
+    with pytest.raises(tras.RecordingError, match=f"{tmp_path}/a.mat: .*{words}"):
+        R.read(tmp_path / "a.mat")
+
+
+def test_a_signal_of_another_length_is_left_out_and_said(tmp_path):
+    savemat(tmp_path / "a.mat", {"t": TIME, "x": X, "ref": U[:3], "u": np.ones((5, 1))})
+    assert "left out: u, of another length" in said(R.read(tmp_path / "a.mat"))
+
+
+@pytest.mark.parametrize(
+    "kind, words", [("function_handle", "a function handle"), ("timeseries", "an object .timeseries."), ("sparse", "a sparse matrix"),
+                    ("complex", "complex"), ("link", "is a link to somewhere else"), ("external", "lie in another file"), ("circle", "nested more than 8")]
+)  # fmt: skip
+def test_what_newer_matlab_files_cannot_hold(kind, words, tmp_path):
+    hdf(tmp_path / "a.mat", {"t": TIME, "x": X})
+    with h5py.File(tmp_path / "a.mat", "r+") as file:
+        if kind == "link":
+            file["z"] = h5py.ExternalLink("/etc/passwd", "/")
+        elif kind == "external":
+            file.create_dataset("z", (4, 1), "u1", external=[("/etc/passwd", 0, 4)])
+        elif kind == "circle":
+            file.create_group("z").attrs["MATLAB_class"] = np.bytes_("struct")
+            file["z/z"] = file["z"]
+        elif kind == "complex":
+            file["z"] = np.zeros((3, 1), dtype=[("real", "f8"), ("imag", "f8")])
+        else:
+            file["z"] = np.zeros((3, 1))
+            file["z"].attrs.update({"MATLAB_sparse": 3} if kind == "sparse" else {"MATLAB_class": np.bytes_(kind), "MATLAB_object_decode": 3})
+    with pytest.raises(tras.RecordingError, match=f"'z.*{words}|{words}"):
+        R.read(tmp_path / "a.mat")
+
+
+def test_function_handles_and_objects_of_older_files(tmp_path):
+    savemat(tmp_path / "a.mat", {"t": TIME, "x": X})
+    whole = (tmp_path / "a.mat").read_bytes()
+    for number, words in ((3, "an object"), (16, "a function handle"), (17, "an object .class instance")):
+        content = bytearray(whole)
+        content[128 + 16] = number
+        with pytest.raises(tras.RecordingError, match=words):
+            R.read(write(tmp_path / "b.mat", bytes(content)))
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(dtype=st.sampled_from(["i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8", "?"]), shape=st.tuples(st.integers(0, 4), st.integers(0, 4)),
+       compressed=st.booleans(), text=st.text(st.characters(max_codepoint=0xD000, exclude_characters="\0"), min_size=1, max_size=6), seed=st.integers(0, 99))  # fmt: skip
+def test_our_reader_of_version_5_agrees_with_scipy(dtype, shape, compressed, text, seed, tmp_path):
+    array = np.random.default_rng(seed).integers(0, 100, shape).astype(dtype)
+    savemat(tmp_path / "a.mat", {"a": array, "s": {"inner": cell(array, text)}}, do_compression=compressed)
+    ours, theirs = matfile5.read_variables((tmp_path / "a.mat").read_bytes()), loadmat(tmp_path / "a.mat")
+    assert np.array_equal(ours["a"], theirs["a"]) and np.array_equal(ours["s"]["inner"][0], array)
+    assert ours["s"]["inner"][1] == theirs["s"]["inner"][0, 0][0, 1][0] == text
+
+
+def test_claims_of_size_are_refused_before_room_is_made(tmp_path):
+    savemat(tmp_path / "a.mat", {"c": cell(X, X)})
+    content = bytearray((tmp_path / "a.mat").read_bytes())
+    content[128 + 32 : 128 + 40] = b"\xff\xff\xff\x7f\xff\xff\xff\x7f"
+    with pytest.raises(tras.RecordingError, match="more than there are bytes for"):
+        R.read(write(tmp_path / "b.mat", bytes(content)))
+    bomb = zlib.compress(bytes(10**7))
+    bomb = (tmp_path / "a.mat").read_bytes()[:128] + (15).to_bytes(4, "little") + len(bomb).to_bytes(4, "little") + bomb
+    with pytest.raises(tras.RecordingError):
+        R.read(write(tmp_path / "b.mat", bomb))
+    with h5py.File(tmp_path / "c.mat", "w") as file:
+        file.create_dataset("x", (10**9, 10**3), "f8", chunks=(1000, 1000))
+    with pytest.raises(tras.RecordingError, match="more than 100000000 values"):
+        R.read(tmp_path / "c.mat")
+
+
+def test_tables_that_announce_absurd_sizes_are_refused_before_room_is_made(tmp_path):
+    """Both files are small: HDF5 leaves out chunks that nobody wrote, and Parquet counts equal values."""
+    recording = R([np.zeros((4, 1))], None, 0.1)
+    recording.write(tmp_path / "a.nc")
+    with h5py.File(tmp_path / "a.nc", "a") as file:
+        file.create_dataset("huge", (10**12,), "f8", chunks=(1000,)).make_scale("huge")
+    with pytest.raises(tras.RecordingError, match=r"\d{13} values; up to 100000000 are read"):
+        R.read(tmp_path / "a.nc")
+    nulls = pyarrow.table({name: pyarrow.nulls(3 * 10**7) for name in ("t", "q", "u", "v")})
+    pyarrow.parquet.write_table(nulls, tmp_path / "a.parquet")
+    assert (tmp_path / "a.parquet").stat().st_size < 10**6
+    with pytest.raises(tras.RecordingError, match="30000000 rows of 4 columns; up to 100000000 values are read"):
+        R.read(tmp_path / "a.parquet")
+
+
+# --- damage ------------------------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(suffix=st.sampled_from(OWN), content=st.binary(max_size=200) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "replace")))
+def test_arbitrary_content_is_a_recording_or_a_sentence(suffix, content, tmp_path):
+    path = write(tmp_path / f"a{suffix}", content)
+    try:
+        R.read(path, {"dt": 1.0} if suffix != ".nc" else None)
+    except tras.RecordingError as error:
+        assert str(error).startswith(str(path)) and "Error:" not in str(error).partition("Parquet")[0]
+
+
+tables = st.lists(st.lists(st.sampled_from(["t", "q", "u", "0", "1", "2.5", "1,5", "", "nan", '"', "#", "[s]", "-3e2", " ", "inf"]), max_size=4), max_size=6)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(rows=tables, separator=st.sampled_from([",", ";", "\t", " "]))
+def test_tables_of_anything_are_recordings_or_sentences(rows, separator, tmp_path):
+    path = write(tmp_path / "a.csv", "t;q\n".replace(";", separator) + "\n".join(separator.join(row) for row in rows))
+    try:
+        assert R.read(path).n >= 1
+    except tras.RecordingError as error:
+        assert "damaged" not in str(error)  # the word for what a reader had not foreseen
+
+
+@pytest.mark.parametrize("suffix", OWN)
+def test_every_truncation_is_noticed(suffix, tmp_path):
+    R(np.arange(8.0).reshape(1, 4, 2) / 3, dt=0.1).write(path := tmp_path / f"a{suffix}")
+    whole = path.read_bytes()
+    for length in range(0, len(whole), max(len(whole) // 40, 1)):
+        if suffix == ".csv" and whole[:length].count(b"\n") > 2 and whole[length - 1 : length] == b"\n":
+            continue  # a table may end after any row
+        with pytest.raises(tras.RecordingError):
+            R.read(write(tmp_path / f"b{suffix}", whole[:length]))
+
+
+def test_headers_of_our_own_that_lie(tmp_path):
+    R(np.arange(8.0).reshape(1, 4, 2), dt=0.1).write(path := tmp_path / "a.csv")
+    first, rest = path.read_text().split("\n", 1)
+    header = json.loads(first.removeprefix("# tras recording 2: "))
+    for key, value in (("states", 3), ("states", ["x1", "x9"]), ("dt", "fast"), ("dt", -1), ("attributes", [1]), ("state_units", ["rad"]), ("inputs", None)):
+        write(path, f"# tras recording 2: {json.dumps({**header, key: value})}\n{rest}")
+        if (key, value) != ("inputs", None):
+            with pytest.raises(tras.RecordingError):
+                R.read(path)

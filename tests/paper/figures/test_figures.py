@@ -1,0 +1,282 @@
+"""The drawn rig obeys the equations of motion; figures are legible, complete and repeat byte for byte."""
+
+import subprocess
+import sys
+from functools import partial
+
+import matplotlib
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import ROOT, visible_texts
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+
+from tras import plotting as figures
+from tras.explorer import figures as figures_explore
+from tras.paper.figures import drawings
+from tras.paper.figures import readings as figures_readings
+from tras.twin_rotor import drawing as rig
+
+FIGURES = ROOT / "figures"
+
+G = 9.81
+MASSES = {"main_mass": 0.32306, "tail_mass": 0.27850, "left_weight_mass": 0.01908, "right_weight_mass": 0.01908}  # kg
+G_C, G_S = 0.05005756, 0.09360078  # N m
+
+
+def rig_case():
+    table = rig.rig_geometry(*rig.FIGURE_POSE)
+    return drawings.rig_figure(table), table
+
+
+def method_case():
+    table = drawings.method_diagram()
+    return drawings.method_figure(table), table
+
+
+def redrawn(draw, name):
+    """A figure of the data, drawn again from the numbers that are stored beside it."""
+
+    def case():
+        table = pd.read_csv(FIGURES / f"{name}.csv")
+        return draw(table), table
+
+    case.__name__ = name
+    return case
+
+
+DATA_FIGURES = {
+    "fig3_overlay": figures.overlay_figure,
+    "excitation": figures.excitation_figure,
+    "spectrum": figures.spectrum_figure,
+    "horizon": figures.horizon_figure,
+    "readings_effects": figures_readings.effects_figure,
+    "readings_nearest": partial(figures_readings.nearest_figure, within=0.25),
+    "portrait": figures_explore.portrait_figure,
+}
+CASES = pytest.mark.parametrize("case", [rig_case, method_case, *(redrawn(draw, name) for name, draw in DATA_FIGURES.items())])
+
+
+@pytest.mark.parametrize("name", DATA_FIGURES)
+def test_a_table_without_its_columns_is_refused(name):
+    with pytest.raises(ValueError, match="table lacks the columns"):
+        DATA_FIGURES[name](pd.read_csv(FIGURES / f"{name}.csv").iloc[:, :1])
+
+
+def test_truth_and_prediction_differ_in_dash_not_only_in_colour():
+    figure = figures.overlay_figure(pd.read_csv(FIGURES / "fig3_overlay.csv"))
+    for axes in figure.axes:
+        assert len({str(line.get_linestyle()) for line in axes.lines}) == len(axes.lines) == 3
+
+
+# ------------------------------------------------------------------------------------------------------------ the rig
+
+
+def potential(phi, psi):
+    table = rig.rig_geometry(phi, psi)
+    return sum(G * mass * rig.part_points(table, part)[0, 2] for part, mass in MASSES.items())
+
+
+@pytest.mark.parametrize("psi", [0.0, 0.6, -2.0])
+@pytest.mark.parametrize("phi", [-1.2, -0.491, 0.0, 0.3, 1.1])
+def test_heights_of_the_masses_give_the_gravity_torque(phi, psi):
+    step = 1e-4
+    slope = (potential(phi + step, psi) - potential(phi - step, psi)) / (2 * step)
+    expected = G_C * np.cos(phi) + G_S * np.sin(phi)
+    assert slope == pytest.approx(expected, abs=1e-3 * np.hypot(G_C, G_S))
+
+
+def test_positive_pitch_lifts_the_main_rotor_and_positive_yaw_turns_it_anticlockwise():
+    level, posed = rig.rig_geometry(0.0, 0.0), rig.rig_geometry(0.3, 0.2)
+    assert rig.part_points(level, "main_mass")[0] == pytest.approx([0.202, 0, 0])
+    assert rig.part_points(level, "tail_mass")[0] == pytest.approx([-0.216, 0, 0])
+    x, y, z = rig.part_points(posed, "main_mass")[0]
+    assert z == pytest.approx(0.202 * np.sin(0.3)) and np.arctan2(y, x) == pytest.approx(0.2)
+    assert rig.part_points(posed, "tail_mass")[0, 2] == pytest.approx(-0.216 * np.sin(0.3))
+    assert rig.part_points(posed, "left_weight_mass")[0, 2] == pytest.approx(-0.25 * np.cos(0.3))
+
+
+def test_thrust_arrows_have_positive_moments_about_their_axes():
+    psi = 0.6
+    table = rig.rig_geometry(0.36, psi)
+    moment = {}
+    for part in ("main_thrust", "tail_thrust"):
+        foot, tip = rig.part_points(table, part)
+        moment[part] = np.cross(foot, tip - foot)
+    raising = np.array([np.sin(psi), -np.cos(psi), 0.0])  # the rotation vector of a growing pitch
+    assert moment["main_thrust"] @ raising > 0
+    assert moment["tail_thrust"][2] > 0
+
+
+@pytest.mark.parametrize("phi", [-1.2, -0.5, 0.0, 0.36, 1.2])
+@pytest.mark.parametrize("psi", [-3.0, -1.0, 0.6, 2.0])
+@pytest.mark.slow
+def test_nearer_parts_are_drawn_later(phi, psi):
+    """Rays through the picture: of all bodies that a ray meets, the one met first must be the last one drawn."""
+    table = rig.rig_geometry(phi, psi)
+    solids = {name: rig.part_points(table, name) for name in rig.SOLIDS}
+    order = rig._back_to_front(solids, rig.CAMERA)
+    right, up, towards = rig._view_axes(rig.CAMERA)
+    across, height = np.meshgrid(np.linspace(-0.3, 0.3, 90), np.linspace(-0.4, 0.3, 90))
+    rays = across.reshape(-1, 1) * right + height.reshape(-1, 1) * up
+    surface = np.stack([_first_hit(rays, towards, solids[name]) for name in order])
+    hit = np.isfinite(surface).any(axis=0)
+    assert hit.sum() > 500
+    seen = surface.argmax(axis=0)[hit]
+    drawn_last = len(order) - 1 - np.isfinite(surface[::-1]).argmax(axis=0)[hit]
+    np.testing.assert_array_equal(seen, drawn_last)
+
+
+def _first_hit(rays, towards, solid):
+    """Largest s with ray + s * towards inside a convex body, -inf where the ray misses it."""
+    normals, offsets = rig._face_planes(solid)
+    slope, room = normals @ towards, offsets - rays @ normals.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bound = room / slope
+    enter = np.where(slope < -1e-12, bound, -np.inf).max(axis=1)
+    leave = np.where(slope > 1e-12, bound, np.inf).min(axis=1)
+    outside = ((np.abs(slope) <= 1e-12) & (room < 0)).any(axis=1)
+    return np.where((enter < leave) & ~outside, leave, -np.inf)
+
+
+def test_two_rigs_overlay_in_one_axes():
+    axes = Figure().add_subplot()
+    truth = rig.draw_rig(axes, rig.rig_geometry(0.2, 0.1))
+    ghost = rig.draw_rig(axes, rig.rig_geometry(0.4, 0.3), parts=set(rig.SOLIDS) - set(rig.STATIC), alpha=0.3, zorder=1)
+    assert all(artist in axes.collections for artist in truth + ghost)
+    assert ghost[0].get_facecolor()[:, 3].max() == pytest.approx(0.3)
+    assert len(ghost[0].get_paths()) < len(truth[0].get_paths())
+
+
+@pytest.mark.parametrize("wrong", [{"phi": np.nan}, {"psi": [0.1, 0.2]}, {"phi": "up"}, {"l_m": 0.0}, {"l_cw": np.inf}])
+def test_impossible_poses_are_named(wrong):
+    name = next(iter(wrong))
+    with pytest.raises(ValueError, match=f"^{name} must be"):
+        rig.rig_geometry(**({"phi": 0.0, "psi": 0.0} | wrong))
+
+
+def test_unknown_part_is_named():
+    with pytest.raises(ValueError, match="no part 'wing'"):
+        rig.part_points(rig.rig_geometry(0.0, 0.0), "wing")
+
+
+# -------------------------------------------------------------------------------------------------------- appearance
+
+
+@CASES
+@pytest.mark.slow
+def test_figure_is_one_column_wide_with_everything_inside(case):
+    figure, _ = case()
+    assert figure.get_figwidth() == 3.5
+    renderer, texts = visible_texts(figure)
+    assert texts
+    for text in texts:
+        box = text.get_window_extent(renderer)
+        assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= figure.bbox.x1 and box.y1 <= figure.bbox.y1, text.get_text()
+
+
+@pytest.mark.parametrize("case", [rig_case, method_case])
+def test_labels_do_not_overlap(case):
+    renderer, texts = visible_texts(case()[0])
+    boxes = [text.get_window_extent(renderer).padded(-0.5) for text in texts]
+    for i, box in enumerate(boxes):
+        for j in range(i):
+            assert not box.overlaps(boxes[j]), (texts[i].get_text(), texts[j].get_text())
+
+
+@CASES
+def test_every_letter_reaches_six_points(case):
+    for text in visible_texts(case()[0])[1]:
+        has_index = "$" in text.get_text() and any(c in text.get_text() for c in "_^")
+        smallest = text.get_fontsize() * (0.7 if has_index else 1.0)
+        assert smallest >= 6.0, text.get_text()
+
+
+def test_lines_of_the_cycle_differ_in_grey_or_dashes():
+    with figures.styled():
+        cycle = list(matplotlib.rcParams["axes.prop_cycle"])
+    grey = [np.dot([0.299, 0.587, 0.114], to_rgb(entry["color"])) for entry in cycle]
+    for i, one in enumerate(cycle):
+        for j, other in enumerate(cycle[:i]):
+            assert one["linestyle"] != other["linestyle"] or abs(grey[i] - grey[j]) > 0.25
+
+
+def test_method_diagram_holds_the_three_steps_and_their_equations():
+    table = drawings.method_diagram()
+    arrows = table[(table["kind"] == "arrow") & (table["step"] > 0)]
+    assert list(arrows["step"]) == [1, 2, 3, 3]
+    assert list(arrows["equation"]) == ["(13)", "(14)", "(15)", "(18)"]
+    nodes = set(table.loc[table["kind"] == "node", "name"])
+    assert set(arrows["start"]) | set(arrows["end"]) == nodes
+
+
+# ------------------------------------------------------------------------------------------------------------- files
+
+
+def test_saving_twice_gives_the_same_bytes(tmp_path):
+    """One figure will do, for this is about `save_figure`; `make verify` compares the bytes of every figure."""
+    case = redrawn(figures.overlay_figure, "fig3_overlay")
+    first = figures.save_figure(*case(), tmp_path / "a" / "fig")
+    figure, table = case()
+    with matplotlib.rc_context({"font.size": 20, "svg.hashsalt": "other", "savefig.dpi": 50, "svg.fonttype": "none"}):
+        second = figures.save_figure(figure, table, tmp_path / "b" / "fig")
+    again = figures.save_figure(figure, table, tmp_path / "c" / "fig")
+    assert [path.suffix for path in first] == [".pdf", ".svg", ".png", ".csv"]
+    for one, two, three in zip(first, second, again):
+        assert one.read_bytes() == two.read_bytes() == three.read_bytes(), one.suffix
+
+
+def test_files_hold_no_date_version_or_place(tmp_path):
+    pdf, svg, png, _ = figures.save_figure(*method_case(), tmp_path / "fig")
+    for path in (pdf, svg, png):
+        content = path.read_bytes()
+        for word in (b"CreationDate", b"Software", b"/work", matplotlib.__version__.encode()):
+            assert word not in content, (path.suffix, word)
+
+
+def test_table_comes_back_from_its_file(tmp_path):
+    figure, table = rig_case()
+    path = figures.save_figure(figure, table, str(tmp_path / "rig_0.5s"))[-1]
+    assert path.name == "rig_0.5s.csv" and b"\r" not in path.read_bytes()
+    pd.testing.assert_frame_equal(pd.read_csv(path), table, rtol=1e-9, check_dtype=False)
+
+
+def test_failing_save_leaves_the_older_files_and_nothing_else(tmp_path, monkeypatch):
+    figure, table = method_case()
+    finals = figures.save_figure(figure, table, tmp_path / "fig")
+    before = {path: path.read_bytes() for path in finals}
+
+    def full_disk(self, path, **options):
+        path.write_bytes(b"half")
+        if options["format"] == "png":
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Figure, "savefig", full_disk)
+    with pytest.raises(OSError, match="No space left"):
+        figures.save_figure(figure, table, tmp_path / "fig")
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_wrong_arguments_are_named_before_anything_is_written(tmp_path):
+    figure, table = method_case()
+    with pytest.raises(TypeError, match="table must be a pandas DataFrame.*not dict"):
+        figures.save_figure(figure, {"x": [1]}, tmp_path / "new" / "fig")
+    with pytest.raises(TypeError, match="figure must be a matplotlib Figure, not NoneType"):
+        figures.save_figure(None, table, tmp_path / "new" / "fig")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_wrong_tables_are_named():
+    with pytest.raises(ValueError, match="geometry lacks the columns point, z; it has part, x, y"):
+        drawings.rig_figure(rig.rig_geometry(0.0, 0.0)[["part", "x", "y"]])
+    with pytest.raises(TypeError, match="diagram must be a pandas DataFrame, not list"):
+        drawings.method_figure([1, 2])
+
+
+def test_figures_do_without_pyplot():
+    code = (
+        "import sys; from tras import drawings, figures, rig; drawings.rig_figure(rig.rig_geometry(0.3, 0.6)); figures.new_figure(rows=2);"
+        "sys.exit('matplotlib.pyplot' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0

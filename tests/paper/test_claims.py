@@ -1,0 +1,280 @@
+"""Verdicts that can go either way: each claim on tables made to support it, to contradict it, and to support it under one reading only."""
+
+import itertools
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import tras
+from tras import generator
+from tras.paper import claims, effects, pages, readings
+
+SEEDS = [(1, 0, 2), (1, 0, 3), (2, 0, 2)]  # train_seed, draw, validation_seed
+
+
+def grid(numbers, *, spread=0.02, lost=()):
+    """A table like that of 06_readings: ``numbers`` is a function reading (dict) -> (yaw, pitch) in percent, or None without a model."""
+    rows = []
+    names = [name for name in effects.OPTIONS if name not in ("frequency_unit", "velocity_term", "state")]
+    for combination in itertools.product(*(readings.choices(name) for name in names)):
+        reading = {"frequency_unit": "rad/s", "velocity_term": "corrected", "state": "four_states", **dict(zip(names, combination))}
+        for i, seed in enumerate(SEEDS):
+            values = numbers(reading)
+            about = {**reading, **dict(zip(effects.SEEDS, seed)), "outcome": "model" if values else "no model: logarithm", "windows": 83, "N": 9, "condition": 10.0}
+            for angle, value in zip(("yaw", "pitch"), values or (math.nan, math.nan)):
+                factor = 1 + spread * (i - 1)
+                rows.append({**about, "angle": angle, "nrmse": value * factor, "diverged": 5 if tuple(reading.values()) in lost else 0})
+    return pd.DataFrame(rows)
+
+
+def comparison():
+    """A table like that of 07_comparison: errors over windows; far smaller ones at another horizon and on the chirp, which must not count."""
+    errors = {"reference": {"DMDc": 1.0, claims.OWN: 2.0, "N4SID": 3.0}, "torque": {"DMDc": 4.0, claims.OWN: 2.0, "N4SID": 1.0, claims.BOUND: 0.01}}
+    rows = []
+    for source, methods in errors.items():
+        for (method, error), horizon, recording, angle in itertools.product(methods.items(), (1.0, 6.0, 500.0), ("multisine 2", "multisine 3", "chirp"), ("yaw", "pitch")):
+            counts = horizon == 6.0 and recording != "chirp"
+            lost = 1 if (method, source) == ("N4SID", "torque") and counts else 0
+            about = {"method": method, "input": source, "recording": recording, "horizon": horizon, "angle": angle}
+            rows.append({**about, "nrmse": error if counts else 1e-3, "windows": 4, "diverged": lost, "parameters": 28})
+    return pd.DataFrame(rows)
+
+
+def metrics(enr=0.05, bfr=95.0, steps=None, diverged=0):
+    rows = []
+    for (recording, kind), angle in itertools.product([("multisine 2", "window"), ("multisine 3", "window"), ("steps", "window"), ("multisine 2", "free run")], ("yaw", "pitch")):
+        unlike = steps if recording == "steps" and steps else (enr, bfr)
+        for source, model in (("reference", "gaussian"), ("torque", "mechanical")):
+            rows.append(
+                {"recording": recording, "horizon": 6.0 if kind == "window" else 500.0, "angle": angle, "enr": unlike[0], "bfr": unlike[1], "nrmse": 0.005,
+                 "windows": 83 if kind == "window" else 1, "diverged": diverged, "kind": kind, "input": source, "model": model}
+            )  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+# ------------------------------------------------------------------------------------------------------------------------ C1, C2
+
+
+def by_default(reading):
+    return (4.0, 5.6) if all(reading[n] == readings.choices(n)[0] for n in effects.OPTIONS) else (20.0, 30.0)
+
+
+def with_torque(reading):
+    return (4.1, 5.5) if reading["input"] == "torque" else (1.0, 0.4)
+
+
+@pytest.mark.parametrize(
+    "numbers, verdict, reading",
+    [
+        (by_default, claims.REPRODUCED, "default"),
+        (with_torque, claims.NAMED, "input torque"),
+        (lambda r: (5.6, 4.05) if r["dictionary"] == "monomials3" else (9.0, 9.0), claims.NAMED, "dictionary monomials3"),
+        (lambda r: (1.0, 0.4), claims.NOT, ""),
+        # Each number under another reading: no model has both.
+        (lambda r: {"linear": (4.06, 0.4), "monomials2": (1.0, 5.59)}.get(r["dictionary"], (1.0, 0.4)), claims.NOT, ""),
+    ],
+)
+def test_the_two_numbers(numbers, verdict, reading):
+    yaw, pitch = (claims.nrmse(grid(numbers), angle) for angle in ("yaw", "pitch"))
+    assert yaw["verdict"] == pitch["verdict"] == verdict
+    assert yaw["reading"].startswith(reading) and (yaw["reading"] == "") == (reading == "")
+
+
+def test_one_number_may_be_met_without_the_other():
+    table = grid(lambda r: (4.0, 20.0))
+    assert claims.nrmse(table, "yaw")["verdict"] == claims.REPRODUCED and claims.nrmse(table, "pitch")["verdict"] == claims.NOT
+
+
+@pytest.mark.parametrize("factor, met", [(1.09, True), (1.12, False), (0.92, True), (0.89, False)])
+def test_a_number_is_met_within_the_range_and_a_tenth(factor, met):
+    yaw, pitch = effects.target()
+    row = claims.nrmse(grid(lambda r: (yaw * factor, pitch), spread=0), "yaw")
+    assert (row["verdict"] == claims.REPRODUCED) == met
+    assert row["value"] == pytest.approx(yaw * factor) and row["low"] == row["high"] == row["value"]
+
+
+def test_a_reading_that_loses_windows_meets_nothing():
+    table = grid(with_torque)
+    table.loc[table["input"] == "torque", "diverged"] = 1
+    assert claims.nrmse(table, "yaw")["verdict"] == claims.NOT
+
+
+# ------------------------------------------------------------------------------------------------------------------------ C3, C4
+
+
+@pytest.mark.parametrize(
+    "name, table, verdict, value",
+    [
+        ("enr", metrics(enr=0.05), claims.REPRODUCED, 0.05),
+        ("enr", metrics(enr=0.05, steps=(0.3, 70.0)), claims.NAMED, 0.3),
+        ("enr", metrics(enr=0.2), claims.NOT, 0.2),
+        ("bfr", metrics(bfr=95), claims.REPRODUCED, 95),
+        ("bfr", metrics(bfr=95, steps=(0.3, 70.0)), claims.NAMED, 70),
+        ("bfr", metrics(bfr=80), claims.NOT, 80),
+    ],
+)
+def test_low_and_high_across_conditions(name, table, verdict, value):
+    row = claims.across(table, name)
+    assert row["verdict"] == verdict and row["value"] == value
+
+
+def test_a_number_that_was_lost_is_not_low():
+    table = metrics()
+    table.loc[table["recording"] == "steps", "enr"] = np.nan
+    assert claims.across(table, "enr")["verdict"] == claims.NAMED
+
+
+# ---------------------------------------------------------------------------------------------------------------------------- C5
+
+
+def ratio_to_linear(ratio):
+    """Every dictionary but the linear one has ``ratio(reading)`` times its error."""
+    return grid(lambda r: (1.0, 1.0) if r["dictionary"] == "linear" else ratio(r))
+
+
+@pytest.mark.parametrize(
+    "ratio, verdict",
+    [
+        (lambda r: (0.5, 0.6), claims.REPRODUCED),
+        (lambda r: (0.5, 0.6) if r["input"] == "torque" else (1.0, 1.0), claims.NAMED),
+        (lambda r: (0.99, 0.5), claims.NOT),  # one angle is not enough
+        (lambda r: None if r["dictionary"] == "gaussian" else (1.2, 1.2), claims.NOT),
+    ],
+)
+def test_superior_means_both_angles(ratio, verdict):
+    row = claims.against_linear(ratio_to_linear(ratio), comparison())
+    assert row["verdict"] == verdict
+    if verdict == claims.REPRODUCED:
+        assert row["value"] == pytest.approx(0.6)
+
+
+def test_superior_means_every_seed():
+    table = ratio_to_linear(lambda r: (0.5, 0.5))
+    one = (table["train_seed"] == 2) & (table["dictionary"] != "linear")
+    table.loc[one, "nrmse"] = 1.0
+    assert claims.against_linear(table, comparison())["verdict"] == claims.NOT
+
+
+# ------------------------------------------------------------------------------------------------------------------- C6 to C9
+
+
+def test_the_comparison_is_not_in_the_paper_but_ours_is_told():
+    row = claims.other_methods(comparison())
+    assert row["verdict"] == claims.UNCHECKABLE and math.isnan(row["value"])
+    assert "reference: the best is DMDc (1 / 1), the paper's dictionary is 2 of 3 (2 / 2)" in row["evidence"]
+    assert "torque: the best is Koopman, the paper's (2 / 2), the paper's dictionary is 1 of 3" in row["evidence"]  # the other one there loses windows
+
+
+def test_linear_methods_stand_beside():
+    row = claims.against_linear(ratio_to_linear(lambda r: (0.5, 0.6)), comparison())
+    assert "reference: Koopman, the paper's 2 / 2, DMDc 1 / 1, N4SID 3 / 3; torque: Koopman, the paper's 2 / 2, DMDc 4 / 4, N4SID 1 / 1" in row["evidence"]
+
+
+def test_a_model_without_numbers_has_no_place():
+    table = comparison()
+    table.loc[table["method"] == claims.OWN, ["nrmse", "diverged"]] = [math.nan, 4]
+    assert "without a place among 3 (nan / nan)" in claims.other_methods(table)["evidence"]
+
+
+@pytest.mark.parametrize("diverged, verdict", [(0, claims.REPRODUCED), (1, claims.NOT)])
+def test_starts_are_counted(diverged, verdict):
+    row = claims.starts(metrics(diverged=diverged))
+    assert row["verdict"] == verdict and row["value"] == pytest.approx(3 * diverged / (3 * 83)) and "249 windows" in row["evidence"]
+
+
+def length(clean, noisy, dependent=0.0):
+    """Shares without a logarithm on short and long stretches, without and with noise; ``dependent`` of them because K is singular."""
+    rows = [
+        {"fit": "plain", "dictionary": "linear", "noise": noise, "ratio": ratio, "failed": share, "no_logarithm": (1 - dependent) * share, "dependent": dependent * share}
+        for noise, shares in ((0.0, clean), (1.0, noisy))
+        for ratio, share in zip((1.5, 2.0, 200.0), (shares[0], shares[0], shares[1]))
+    ]
+    return pd.DataFrame(rows)
+
+
+@pytest.mark.parametrize("dependent", [0.0, 1.0])
+@pytest.mark.parametrize(
+    "clean, noisy, verdict",
+    [
+        ((0.5, 0.0), (0.9, 0.1), claims.REPRODUCED),
+        ((0.0, 0.0), (0.9, 0.1), claims.NAMED),
+        ((0.0, 0.0), (0.9, 0.8), claims.NOT),  # more data do not mend it
+        ((0.0, 0.0), (0.0, 0.0), claims.NOT),  # it never fails
+    ],
+)
+def test_the_logarithm_and_the_data(clean, noisy, verdict, dependent):
+    row = claims.few_data(length(clean, noisy, dependent))
+    assert row["verdict"] == verdict and ("1 %" in row["reading"]) == (verdict == claims.NAMED)
+
+
+def test_a_basis_that_fits_counts_when_it_is_ten_times_better():
+    better = claims.cost(grid(lambda r: (1.0, 1.0)), metrics())
+    assert better["verdict"] == claims.REPRODUCED and better["value"] == pytest.approx(200) and "165" in better["evidence"]
+    assert claims.cost(grid(lambda r: (0.04, 1.0)), metrics())["verdict"] == claims.NOT
+
+
+# --------------------------------------------------------------------------------------------------------------------------- C10
+
+
+class Known:
+    def __init__(self, plant, sign=1.0):
+        self.plant, self.sign = plant, sign
+
+    def vector_field(self, x, u):
+        return tras.vector_field(x, self.sign * u, self.plant)
+
+
+def test_feedback_from_a_good_model_works_and_from_a_wrong_one_does_not():
+    plant = tras.PlantParameters()
+    good = claims.control({"exact": Known(plant)})
+    assert good["verdict"] == claims.REPRODUCED and good["value"] < -0.2
+    assert claims.control({"torques the wrong way": Known(plant, -1.0)})["verdict"] == claims.NOT
+
+
+def test_the_linearisation_is_the_plants():
+    plant = tras.PlantParameters()
+    x, u = np.array([0.3, 0.5, -0.2, 0.4]), np.array([0.01, -0.02])
+    for found, exact in zip(claims._linearised(Known(plant), x, u), tras.jacobian(x, u, plant)):
+        assert np.allclose(found, exact, rtol=1e-6, atol=1e-6)
+
+
+# ------------------------------------------------------------------------------------------------------------------- the table
+
+
+@pytest.fixture(scope="module")
+def judged():
+    tables = {"comparison": comparison(), "readings": grid(with_torque), "metrics": metrics(), "length": length((0.0, 0.0), (0.9, 0.1))}
+    return claims.evaluate(tables, {"exact": Known(tras.PlantParameters())})
+
+
+def test_all_ten_have_a_verdict_and_evidence(judged):
+    assert list(judged["claim"]) == [f"C{i}" for i in range(1, 11)] and list(judged) == list(claims.COLUMNS)
+    assert set(judged["verdict"]) <= set(claims.VERDICTS) and judged["evidence"].str.len().min() > 40
+    assert (judged.loc[judged["verdict"] == claims.NAMED, "reading"] != "").all()
+
+
+def test_the_readme_holds_the_table(judged, tmp_path, capsys):
+    judged.to_csv(tmp_path / "claims.csv", index=False)
+    readme = tmp_path / "README.md"
+    begin, end = pages.markers("claims")
+    readme.write_text(f"a\n{begin}\n{end}\nb\n")
+    call = ["claims", f"--data={tmp_path}", f"--pages={tmp_path}"]
+    assert pages.main([*call, "--write"]) == 0
+    text = readme.read_text()
+    assert all(f"| {row.claim} | {row.statement} | **{row.verdict}" in text for row in judged.itertuples()) and text.endswith("b\n")
+    assert pages.main(call) == 0 and capsys.readouterr().out.count("\n") == 10
+    readme.write_text("no markers")
+    assert pages.main([*call, "--write"]) == 2 and "must hold" in capsys.readouterr().err
+    assert pages.main([call[0], f"--data={tmp_path / 'none'}"]) == 2 and "make all" in capsys.readouterr().err
+
+
+def test_a_singular_K_has_the_eigenvalue_zero():
+    """What C8 counts: by the pseudoinverse, functions that are dependent on the data give K an eigenvalue of which there is no logarithm."""
+    rng = np.random.default_rng(0)
+    before = rng.standard_normal((6, 9))  # 6 pairs for 9 functions
+    K = np.linalg.pinv(before) @ rng.standard_normal((6, 9))
+    assert np.sort(np.abs(np.linalg.eigvals(K)))[2] < 1e-12
+    with pytest.raises(generator.LogarithmError):
+        generator.principal_logarithm(K)

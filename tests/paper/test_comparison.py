@@ -1,0 +1,174 @@
+"""The comparison: the same rule for all, validation recordings unseen, every case counted, the table in the README."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.base import clone
+
+import tras
+from tras import plotting as figures
+from tras.paper import comparison, pages, tables
+from tras.paper.figures import comparison as figures_comparison
+
+FEW = ("DMDc", "Koopman, the paper's", "grey box")
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    made = [tras.simulate_closed_loop(tras.multisine(15, 0.01, [2.0, 4.0], [0.6, 1.2], np.random.default_rng(seed)), 0.01) for seed in (1, 2, 3)]
+    return made[0], {"multisine 2": made[1], "chirp": made[2]}
+
+
+@pytest.fixture(scope="module")
+def study():
+    return comparison.Study(trajectory=1.0, window=1.0, middle=0.5, fractions=(0.2,), methods=FEW)
+
+
+@pytest.fixture(scope="module")
+def results(study, recordings, tmp_path_factory):
+    return comparison.run(study, *recordings, tmp_path_factory.mktemp("cache"), processes=1)
+
+
+def test_every_method_has_as_many_settings_and_each_is_another():
+    for name, models in comparison.METHODS.items():
+        assert len(models) == comparison.TRIES == len({str(model) for model in models}), name
+        assert all(clone(model).get_params().keys() == model.get_params().keys() for model in models)
+
+
+@pytest.mark.slow
+def test_every_case_is_there(results, study):
+    cases = comparison.jobs(study)
+    assert len(cases) == 2 * 3 - 1 + 3 * 3  # without the grey box on references; noise twice and one fraction for the torque
+    scores = results["scores"]
+    of_one = scores.groupby(["method", "input"]).size()
+    assert len(of_one) == 5 and (of_one == 2 * (2 * 3 + 1)).all()  # angles x (recordings x horizons and one free run)
+    assert set(scores["horizon"]) == {0.01, 0.5, 1.0, 15.0} and ("grey box", "reference") not in of_one.index
+    assert len(results["tuning"]) == len(cases) * comparison.TRIES
+    assert (results["tuning"].groupby(["method", "input", "noise", "smoothed", "fraction"])["chosen"].sum() == 1).all()
+    assert len(results["data"]) == len(cases) * 2 and len(results["times"]) == len(cases)
+
+
+def test_the_chosen_setting_is_the_best_one(results):
+    for _, group in results["tuning"].groupby(["method", "input", "noise", "smoothed", "fraction"]):
+        assert group.loc[group["chosen"], "error"].iloc[0] == group["error"].min()
+
+
+def test_the_bound_is_a_bound(results):
+    scores = results["scores"][lambda t: (t["input"] == "torque") & (t["horizon"] == 1.0)].groupby("method")["nrmse"].max()
+    assert scores.idxmin() == "grey box" and scores["grey box"] < 1e-4
+
+
+@pytest.mark.parametrize("method", ["DMDc", "NARX", "Koopman, the paper's"])
+def test_validation_is_not_seen(method, study, recordings):
+    train, fresh = recordings
+    job = {"method": method, "input": "torque", "noise": 0.0, "smoothed": False, "fraction": 1.0}
+    other = {name: tras.Recording(r.states[:, ::-1], r.inputs[:, ::-1] * 2, r.dt, state_names=r.state_names, input_names=r.input_names) for name, r in fresh.items()}
+    one, two = comparison.case(study, job, train, fresh), comparison.case(study, job, train, other)
+    assert one["tuning"] == two["tuning"] and one["parameters"] == two["parameters"] and one["scores"] != two["scores"]
+
+
+def test_noise_and_fraction_reach_the_training_data(study, recordings):
+    job = {"method": "DMDc", "input": "torque", "noise": 0.0, "smoothed": False, "fraction": 1.0}
+    whole, few = (comparison.training(study, job | {"fraction": share}, recordings[0]) for share in (1.0, 0.2))
+    noisy, smoothed = (comparison.training(study, job | {"noise": 1.0, "smoothed": some}, recordings[0]) for some in (False, True))
+    prepared = comparison.prepare(study, {"noise": 1.0, "smoothed": True}, recordings[0])
+    again = comparison.training(study, job | {"noise": 1.0, "smoothed": True}, recordings[0], prepared)
+    assert np.array_equal(np.stack(list(again.states)), np.stack(list(smoothed.states)))
+    assert (len(whole), len(few)) == (12, 2) and whole.input_names == ("u_phi", "u_psi")
+    clean = np.concatenate(list(whole.states))
+    errors = [np.std(np.concatenate(list(each.states)) - clean, axis=0) / np.ptp(recordings[0].states[0], axis=0) for each in (noisy, smoothed)]
+    assert np.allclose(errors[0], 0.01, rtol=0.1) and (errors[1] < errors[0] / 2).all()
+
+
+@pytest.mark.slow
+def test_processes_and_the_cache_change_nothing(study, recordings, tmp_path, monkeypatch):
+    small = comparison.Study(trajectory=1.0, window=1.0, middle=0.5, fractions=(), data_inputs=(), methods=("DMDc",))
+    one = comparison.run(small, *recordings, tmp_path / "one", processes=1)
+    two = comparison.run(small, *recordings, tmp_path / "two", processes=2)
+    for name in ("scores", "tuning", "data"):
+        pd.testing.assert_frame_equal(one[name], two[name])
+    monkeypatch.setattr(comparison, "case", None)  # would fail if anything were computed
+    again = comparison.run(small, *recordings, tmp_path / "one", processes=1)
+    pd.testing.assert_frame_equal(one["scores"], again["scores"])
+
+
+def test_scores_are_those_of_the_metrics(study, recordings):
+    class Off:
+        def predict(self, recording):
+            return recording.states + [0.1, 0, 0.2, 0]
+
+    rows = pd.DataFrame(comparison.score(study, Off(), recordings[1]))
+    span = np.ptp(recordings[1]["chirp"].cut(101).states, axis=(0, 1))
+    for row in rows[rows["recording"] == "chirp"].itertuples():
+        assert row.nrmse == pytest.approx(100 * {"yaw": 0.2 / span[2], "pitch": 0.1 / span[0]}[row.angle])
+
+
+def test_diverged_predictions_are_counted_at_their_horizon(study, recordings):
+    class Lost:
+        def predict(self, recording):
+            states = recording.states.copy()
+            states[0, 100:] = np.nan
+            return states
+
+    rows = pd.DataFrame(comparison.score(study, Lost(), recordings[1])).query("recording == 'multisine 2' and angle == 'yaw'").set_index("horizon")
+    assert rows["diverged"].to_dict() == {0.01: 0, 0.5: 0, 1.0: 1, 15.0: 1}
+    assert np.isnan(rows.loc[15.0, "nrmse"]) and rows.loc[1.0, "nrmse"] == 0 and rows.loc[1.0, "windows"] == 15
+
+
+@pytest.mark.parametrize("options, sentence", [({"methods": ("magic",)}, "methods holds 'magic'"), ({"data_inputs": ("x",)}, "data_inputs holds 'x'")])
+def test_unknown_names_are_named(options, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        comparison.jobs(comparison.Study(**options))
+
+
+def test_a_method_that_cannot_be_fitted_says_why(study, recordings, monkeypatch):
+    monkeypatch.setitem(comparison.METHODS, "DMDc", [comparison.DMDc(-1.0)])
+    job = {"method": "DMDc", "input": "torque", "noise": 0.0, "smoothed": False, "fraction": 1.0}
+    assert "alpha is -1.0" in comparison.case(study, job, *recordings)["failure"]
+
+
+def test_figures_hold_every_method(results):
+    horizon, amount = figures_comparison.horizon_table(results["scores"]), figures_comparison.data_table(results["data"])
+    window = horizon[horizon["horizon"] == 1.0]
+    for draw, table in ((figures_comparison.horizon_figure, horizon), (figures_comparison.data_figure, amount), (figures_comparison.pareto_figure, window)):
+        figure = draw(table)
+        for panel in figure.axes:
+            names = [text.get_text().split(" (")[0] for text in panel.texts]
+            assert set(names) == (set(FEW) if "reference" not in panel.get_title(loc="left") else set(FEW[:2]))
+    assert len(set(figures_comparison.STYLES.values())) == len(comparison.METHODS) == len({style[0] for style in figures_comparison.STYLES.values()})
+
+
+@pytest.mark.parametrize("draw", [figures_comparison.horizon_figure, figures_comparison.data_figure, figures_comparison.pareto_figure])
+def test_a_table_without_its_columns_is_refused(draw):
+    with pytest.raises(ValueError, match="table lacks the columns"):
+        draw(pd.DataFrame({"method": ["a"]}))
+
+
+def test_the_readme_holds_the_table(results, tmp_path, capsys):
+    results["scores"].to_csv(tmp_path / "comparison.csv", index=False)
+    readme = tmp_path / "README.md"
+    begin, end = pages.markers("comparison")
+    readme.write_text(f"a\n{begin}\n{end}\nb\n")
+    call = ["comparison", f"--data={tmp_path}", f"--pages={tmp_path}"]
+    assert pages.main([*call, "--write"]) == 0
+    text = readme.read_text()
+    assert text.count("\n| DMDc | 28 |") == 1 and "grey box, the plant's own equations" in text and text.endswith("b\n") and "| grey box" not in text
+    error = results["scores"].query("method == 'DMDc' and input == 'torque' and horizon == 1 and angle == 'yaw' and recording == 'multisine 2'")["nrmse"].iloc[0]
+    assert f"| {error:.3g} / " in text
+    assert pages.main(call) == 0 and "| DMDc | 28 |" in capsys.readouterr().out
+    readme.write_text("no markers")
+    assert pages.main([*call, "--write"]) == 2 and "must hold" in capsys.readouterr().err
+    assert pages.main([call[0], f"--data={tmp_path / 'none'}"]) == 2 and "make all" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="no multisine"):
+        tables.methods([])
+
+
+def test_lost_predictions_stand_in_the_table():
+    about = {"method": "M", "input": "torque", "recording": "multisine 2", "parameters": "7"}
+    rows = [{**about, "horizon": h, "angle": angle, "nrmse": "" if h == "500" else "1.5", "windows": "4", "diverged": "4" if h == "500" else "1"}
+            for h in ("6", "500") for angle in ("yaw", "pitch")]  # fmt: skip
+    assert "| M | 7 | - | 1.5 / 1.5 (1 of 4 diverged) | - / - (4 of 4 diverged) |" in tables.methods_markdown(rows)
+
+
+def test_as_many_windows_as_metrics_count(results):
+    assert figures.WIDTH < figures_comparison.WIDE and (results["scores"]["diverged"] <= results["scores"]["windows"]).all()

@@ -1,0 +1,242 @@
+"""The grid of readings computes what the public names compute, once, and hides no failure."""
+
+import json
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import tras
+from tras.paper import grid, readings, stacked, validation
+from tras.workflow import cache
+
+SMALL = grid.Study(
+    duration=30.0, trajectory=2.0, window=4.0, max_frequency=(0.6, 1.5), train_seeds=(1,), validation_seeds=(2, 3), centre_draws=(0, 1)
+)
+PART = {
+    "frequency_unit": ["rad/s"], "velocity_term": ["corrected"], "input": ["torque"], "state": ["four_states", "delayed_angles"],
+    "dictionary": ["gaussian", "linear"],
+}  # fmt: skip
+
+
+def run(folder, only=PART, study=SMALL):
+    return grid.run(study, folder, only=only, processes=1)
+
+
+@pytest.fixture(scope="module")
+def computed(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cache")
+    return folder, *run(folder)
+
+
+def by_hand(reading, draw, validation_seed):
+    """The same numbers by public names only."""
+    factor = 2 * math.pi if reading.frequency_unit == "Hz" else 1
+    plant = tras.PrintedPlant() if reading.velocity_term == "as_printed" else tras.PlantParameters()
+
+    def experiment(seed):
+        band = [0.6 * factor, 1.5 * factor]
+        whole = tras.simulate_closed_loop(tras.multisine(30.0, 0.01, band, [1.22173, math.pi], np.random.default_rng(seed)), 0.01, plant)
+        inputs = ["u_phi", "u_psi"] if reading.input == "torque" else ["phi_ref", "psi_ref"]
+        return whole.select(inputs=inputs, states=["phi", "psi"] if reading.state == "delayed_angles" else None)
+
+    makers = {"gaussian": tras.GaussianRBF(2, seed=draw), "linear": tras.Monomials(1), "exponentials": tras.Exponentials()}
+    delays = 1 if reading.state == "delayed_angles" else 0
+    model = tras.KoopmanModel(makers[reading.dictionary], delays=delays, field="least_squares", regularization=None, extrapolation="functions")
+    model.fit(experiment(1).cut(201).split(0.8, 0)[0])
+    seconds = {"window": 4.0, "trajectory": 2.0, "free_run": 30.0}[reading.horizon]
+    range_over = "all" if reading.nrmse_range == "validation_set" else "trajectory"
+    return validation.score(model, {"": experiment(validation_seed)}, seconds, range_over=range_over).set_index("angle")
+
+
+CASES = [
+    (readings.Readings(input="torque"), 0),
+    (readings.Readings(input="torque", nrmse_range="trajectory"), 1),
+    (readings.Readings(input="torque", state="delayed_angles", horizon="trajectory"), 1),
+    (readings.Readings(input="torque", state="delayed_angles", horizon="free_run", dictionary="linear"), 0),
+    (readings.Readings(input="torque", horizon="free_run"), 1),
+]
+
+
+@pytest.mark.parametrize("reading, draw", CASES, ids=lambda case: "")
+def test_a_point_is_what_the_public_names_give(computed, reading, draw):
+    table = computed[1]
+    own = reading.model_dump(exclude={"angle_names"}) | {"draw": draw, "train_seed": 1, "validation_seed": 3}
+    rows = table[np.logical_and.reduce([table[name] == value for name, value in own.items()])].set_index("angle")
+    expected = by_hand(reading, draw, 3)
+    assert len(rows) == 2 and (rows["outcome"] == "model").all()
+    for angle in ("yaw", "pitch"):
+        assert rows.loc[angle, "nrmse"] == pytest.approx(expected.loc[angle, "nrmse"], rel=1e-9, nan_ok=True)
+        assert (rows.loc[angle, "windows"], rows.loc[angle, "diverged"]) == (expected.loc[angle, "windows"], expected.loc[angle, "diverged"])
+
+
+def test_other_plant_and_unit_reach_the_simulation():
+    own = {seed: grid.simulate(SMALL, *seed, 1) for seed in (("rad/s", "corrected"), ("Hz", "corrected"), ("Hz", "as_printed"))}
+    reference = own["Hz", "corrected"].select(inputs=["phi_ref"]).inputs[0, :, 0]
+    spectrum = np.abs(np.fft.rfft(reference[:-1]))
+    assert np.flatnonzero(spectrum > 1e-6 * spectrum.max()).max() == math.floor(0.6 * 30)  # 0.6 Hz
+    assert own["Hz", "as_printed"].attributes["plant_velocity_term"] == "as_printed"
+    assert np.abs(own["Hz", "as_printed"].states - own["Hz", "corrected"].states).max() > 0.01
+
+
+def test_counts_add_up(computed):
+    table, counts = computed[1:]
+    assert counts == {"computed": 6, "cached": 0}  # (two draws of centres, and linear) x two states
+    assert len(table) == 6 * 2 * 3 * 2 * 2  # validation seeds, horizons, ranges, angles
+    per_horizon = table.groupby("horizon")["windows"].unique()
+    assert {name: list(values) for name, values in per_horizon.items()} == {"window": [7], "trajectory": [15], "free_run": [1]}
+    assert (table["diverged"] <= table["windows"]).all() and not table.duplicated().any()
+    free = table[table["horizon"] == "free_run"].drop(columns="nrmse_range")
+    assert len(free.drop_duplicates()) == len(free) / 2  # one window: both ranges are the recording's
+
+
+def test_a_second_run_computes_nothing(computed, monkeypatch):
+    folder, table, _ = computed
+    for name in ("fit", "simulate", "judge_windows"):
+        monkeypatch.setattr(grid, name, lambda *_: pytest.fail("computed again"))
+    monkeypatch.setattr(stacked, "free_runs", lambda *_: pytest.fail("computed again"))
+    again, counts = run(folder)
+    assert counts == {"computed": 0, "cached": 6} and again.equals(table)
+
+
+def copied(folder, tmp_path):
+    for path in folder.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    return tmp_path
+
+
+@pytest.mark.parametrize("kind, spoil, fits", [
+    ("point", lambda content: content[: len(content) // 2], 1),
+    ("point", lambda content: content.replace(b'"N": 9', b'"N": 8').replace(b'"N": 7', b'"N": 8'), 1),
+    ("free", lambda content: b"", 0),
+    ("recording", lambda content: content[:-1000] + bytes(900) + content[-100:], 0),
+])  # fmt: skip
+def test_a_damaged_file_is_said_and_computed_again(computed, tmp_path, capsys, kind, spoil, fits):
+    folder, table, _ = computed
+    folder = copied(folder, tmp_path)
+    victim = next(folder.glob(f"{kind}-*"))
+    victim.write_bytes(spoil(victim.read_bytes()))
+    (folder / ".point-0.abcdefgh.json").write_text("what a killed run was writing")
+    if kind == "recording":  # read only when a point is missing
+        next(folder.glob("point-*")).unlink()
+        fits = 1
+    again, counts = run(folder)
+    assert counts["computed"] == fits and again.equals(table)
+    assert f"{victim.name} in the cache is damaged: computed again." in capsys.readouterr().err
+    assert not list(folder.glob(".*"))
+
+
+def test_a_killed_run_goes_on_where_it_was(computed, tmp_path, monkeypatch):
+    fit, calls = grid.fit, []
+
+    def killed(*arguments):
+        calls.append(arguments)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return fit(*arguments)
+
+    monkeypatch.setattr(grid, "fit", killed)
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path)
+    again, counts = run(tmp_path)
+    assert counts == {"computed": 3, "cached": 3} and again.equals(computed[1])
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_changed_options_and_changed_code_are_computed(computed, tmp_path, monkeypatch):
+    folder, table, _ = computed
+    folder = copied(folder, tmp_path)
+    only = PART | {"state": ["four_states"], "dictionary": ["linear"]}
+    assert run(folder, only)[1] == {"computed": 0, "cached": 1}
+    assert run(folder, only | {"frequency_unit": ["Hz"]})[1]["computed"] == 1
+    other, counts = run(folder, only, study=grid.Study(**(vars(SMALL) | {"split_seed": 1})))
+    assert counts["computed"] == 1 and other["nrmse"].iloc[0] != run(folder, only)[0]["nrmse"].iloc[0]
+    before = len(list(folder.glob("recording-*")))
+    monkeypatch.setattr(cache, "code_digest", lambda *_: "other code")
+    assert run(folder, only)[1]["computed"] == 1 and len(list(folder.glob("recording-*"))) > before
+
+
+def test_the_code_that_counts_is_what_the_module_needs():
+    assert cache.code_digest("tras.twin_rotor.closed_loop") != cache.code_digest("tras.paper.grid")
+    needed = cache._package().closure({"tras.paper.grid"})
+    assert {"tras.generator", "tras.dictionaries.radial", "tras.twin_rotor.plant", "tras.metrics", "tras.paper.stacked"} <= needed
+    assert "tras.plotting" not in needed and "tras.paper.effects" not in needed
+
+
+@pytest.mark.parametrize("error, outcome", [
+    (lambda: grid.LogarithmError("no", -1.0), "no model: logarithm"),
+    (lambda: ValueError("the functions are linearly dependent on this data"), "no model: dependent functions"),
+    (lambda: ValueError("something else"), "no model: something else"),
+    (lambda: np.linalg.LinAlgError("singular"), "no model: equation (18) is singular"),
+])  # fmt: skip
+def test_a_fit_that_fails_is_a_result(tmp_path, monkeypatch, error, outcome):
+    def failing(self, recording):
+        if isinstance(self.dictionary, tras.GaussianRBF):
+            raise error()
+        return whole(self, recording)
+
+    whole = tras.KoopmanModel.fit
+    monkeypatch.setattr(tras.KoopmanModel, "fit", failing)
+    table, _ = run(tmp_path, PART | {"state": ["four_states"]})
+    lost = table[table["dictionary"] == "gaussian"]
+    assert len(lost) == 2 * 2 * 3 * 2 * 2 and (lost["outcome"] == outcome).all() and lost["nrmse"].isna().all()
+    kept = table[table["dictionary"] == "linear"]
+    assert (kept["outcome"] == "model").all() and len(kept) == 24 and kept.loc[kept["horizon"] != "free_run", "nrmse"].notna().all()
+    assert run(tmp_path, PART | {"state": ["four_states"]})[0].equals(table)  # from the cache
+
+
+def test_stacked_free_runs_are_each_models_own(experiment):
+    """Also where one of them runs away."""
+    recording = experiment.select(inputs=["u_phi", "u_psi"])
+    dictionary = tras.GaussianRBF(2, seed=3)
+    models = [tras.KoopmanModel(dictionary, **readings.PAPER_FIT).fit(part) for part in (recording[:8], recording[8:])]
+    models[1].W_[1] *= 1.5  # faster than the data
+    models[1].W_[1, 1] += 30.0
+    starts, inputs = recording.states[:6, :1].reshape(2, 3, 1, 4), recording.inputs[:6].reshape(2, 3, 501, 2)
+    together = stacked.free_runs(models[0].dictionary_, [stacked.field_of(model) for model in models], starts, inputs)
+    for model, start, held, prediction in zip(models, starts, inputs, together):
+        alone = model.simulate(start[:, 0], held)
+        assert np.array_equal(np.isnan(alone), np.isnan(prediction))
+        assert np.allclose(prediction, alone, rtol=1e-9, atol=1e-9, equal_nan=True)
+    assert np.isnan(together[1]).any() and not np.isnan(together[0]).any()
+    with pytest.raises(ValueError, match="fields differ in"):
+        stacked.free_runs(dictionary, [stacked.field_of(models[0]), stacked.field_of(models[1]) | {"substeps": 2}], starts, inputs)
+    with pytest.raises(ValueError, match="only models with predictor='vector_field'"):
+        stacked.field_of(tras.KoopmanModel(dictionary, "one_step").fit(recording))
+
+
+def test_options_that_make_no_fit_are_refused():
+    with pytest.raises(readings.ReadingError, match="only names 'horizon', which makes no other fit: choose among frequency_unit"):
+        grid.points(SMALL, {"horizon": ["window"]})
+    with pytest.raises(readings.ReadingError, match="dictionary is 'gauss': did you mean 'gaussian'"):
+        grid.points(SMALL, {"dictionary": ["gauss"]})
+    with pytest.raises(readings.ReadingError, match="dictionary is 'gauss': choose one of gaussian"):
+        grid.dictionary("gauss")
+
+
+def test_the_whole_grid_has_every_combination_once():
+    points = grid.points(grid.Study())
+    assert len(points) == 2 * 2 * 2 * 2 * (3 + 3 + 4) * 3 == len({json.dumps(point) for point in points})
+    assert {name: grid.dictionary(name).fit(np.zeros((5, 4)), np.zeros((5, 2))).names.__len__() for name in readings.choices("dictionary")} == {
+        "gaussian": 9, "gaussian28": 35, "monomials2": 28, "monomials3": 84, "exponentials": 19, "linear": 7,
+    }  # fmt: skip
+
+
+def test_only_models_of_the_same_functions_and_steps_are_alike(experiment):
+    recording = experiment.select(inputs=["u_phi", "u_psi"])
+    plain = {"regularization": None, "extrapolation": "functions"}
+    fitted = [
+        tras.KoopmanModel(dictionary, **(plain | options)).fit(recording)
+        for dictionary, options in [
+            (tras.Monomials(1), {}), (tras.GaussianRBF(2, seed=0), {}), (tras.GaussianRBF(2, seed=1), {}), (tras.Monomials(1), {"field": "least_squares"}),
+            (tras.Mechanical(2), {"extrapolation": "linear"}), (tras.Mechanical(2), {"extrapolation": "linear"}), (tras.Monomials(1), {"predictor": "one_step"}),
+        ]
+    ]  # fmt: skip
+    assert stacked.alike(fitted) == [[0, 3], [1], [2], [4], [5], [6]]
+    fitted[3].substeps_ += 1
+    assert stacked.alike(fitted)[0] == [0]
+    # Models of several structures are scored as each by itself.
+    windows = [{"a": recording[k : k + 2]} for k in range(len(fitted))]
+    for model, own, table in zip(fitted, windows, validation.score_together(fitted, windows, 2.0)):
+        pd.testing.assert_frame_equal(table, validation.score(model, own, 2.0), rtol=1e-9)

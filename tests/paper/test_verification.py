@@ -1,0 +1,307 @@
+"""Verification: what counts as the same, what as a difference, and what is said about it."""
+
+import hashlib
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import ROOT
+from PIL import Image
+
+import tras
+from tras.paper import artefacts, verification
+
+FILES = [
+    *map(Path, ("data/table.csv", "data/long.csv", "data/run.nc", "data/model.npz")),
+    *map(Path, ("figures/plot.png", "figures/plot.pdf", "figures/film.gif", "figures/plot.csv")),
+]
+TABLE = "name,count,value\nfirst,3,1.5\nsecond,4,\nthird,5,-2e-05\n"
+rng = np.random.default_rng(0)
+RUN = rng.normal(size=(900, 3))
+LONG = rng.normal(size=(5000, 3))
+
+
+@pytest.fixture(scope="module")
+def blessed(tmp_path_factory):
+    """A folder with one blessed artefact of each kind."""
+    folder = tmp_path_factory.mktemp("blessed")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for name in ("data", "figures"):
+            Path(name).mkdir()
+        Path("data/table.csv").write_text(TABLE)
+        write_long(LONG)
+        write_run(RUN)
+        write_model()
+        write_picture(0)
+        write_film()
+        Path("figures/plot.pdf").write_bytes(b"%PDF")
+        Path("figures/plot.csv").write_text(TABLE)
+        commit("figures/plot.png", "figures/plot.csv", "figures/film.gif")
+        assert verification.bless(FILES, Path("reference")) == 0
+    return folder
+
+
+@pytest.fixture
+def project(blessed, tmp_path, monkeypatch):
+    """A copy of it to spoil, as the working folder."""
+    shutil.copytree(blessed, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+
+
+def commit(*paths):
+    """Commit files to the repository of the working folder, which is made if there is none."""
+    identity = ("-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false")
+    for command in (("init", "-q"), ("add", *paths), (*identity, "commit", "-q", "-m", "Figures")):
+        subprocess.run(["git", *command], check=True)
+
+
+def write_long(values):
+    pd.DataFrame(values, columns=["a", "b", "c"]).to_csv("data/long.csv", index=False, float_format="%.12g")
+
+
+def write_run(values, dt=0.01):
+    tras.Recording([values[:400, :2], values[400:, :2]], [values[:400, 2:], values[400:, 2:]], dt).write("data/run.nc")
+
+
+def write_model(header='{"kind": "K", "strength": 0.1, "versions": {"numpy": "1"}}', **changes):
+    arrays = {"K": np.arange(400.0).reshape(20, 20), "noise": np.array([1e-15, 3e-16]), "rank": np.array(3), "poles": np.array([1 + 2j])}
+    np.savez("data/model.npz", header=np.array(header), **(arrays | changes))
+
+
+def write_picture(place, size=200):
+    picture = np.ones((size, 240, 3))
+    picture[place + 40 : place + 44, 20:220] = 0
+    matplotlib.image.imsave("figures/plot.png", picture)
+
+
+def write_film(last=40):
+    """Nine frames with a bar; ``last`` is where it stands in the last one."""
+    frames = [np.full((80, 60), 255, dtype=np.uint8) for _ in range(9)]
+    for k, frame in enumerate(frames):
+        frame[last if k == 8 else 5 * k :][:12] = 0
+    first, *others = map(Image.fromarray, frames)
+    first.save("figures/film.gif", save_all=True, append_images=others, duration=100, loop=0)
+
+
+def change(path, old, new):
+    text = Path(path).read_text()
+    assert old in text
+    Path(path).write_text(text.replace(old, new))
+
+
+def nudged(values, row, by):
+    """A copy with one number changed, by a share of itself."""
+    values = np.array(values)
+    values[row, 0] *= 1 + by
+    return values
+
+
+def verdicts(capsys, paths=FILES):
+    """Exit status, and for each artefact the line about it."""
+    capsys.readouterr()
+    status = verification.main(list(map(str, paths)))
+    lines = capsys.readouterr().out.splitlines()
+    return status, {line[15:].split()[0]: line for line in lines[: lines.index("")]}
+
+
+def test_equal_bytes(project, capsys):
+    status, lines = verdicts(capsys)
+    assert status == 0 and list(lines) == list(map(str, FILES))
+    assert all(line == f"same bytes       {name}" for name, line in lines.items())
+
+
+def test_the_manifest_is_what_sha256sum_reads(project):
+    subprocess.run(["sha256sum", "--check", "--strict", "--quiet", "reference/SHA256SUMS"], check=True)
+
+
+# What is done, to which artefact, the exit status, and the line about it.
+CHANGES = {
+    "inside": (lambda: change("data/table.csv", "1.5", "1.5000000001"), "data/table.csv", 0, "numbers agree .*1.5000000001 for 1.5"),
+    "outside": (lambda: change("data/table.csv", "1.5", "1.50001"), "data/table.csv", 1, r"DIFFERS .*\(value, row 1: 1.50001 for 1.5, .* times what is allowed"),
+    "small beside the column's largest": (lambda: change("data/table.csv", "-2e-05", "-2.000005e-05"), "data/table.csv", 0, "numbers agree"),
+    "the sign": (lambda: change("data/table.csv", "-2e-05", "2e-05"), "data/table.csv", 1, "DIFFERS .*value, row 3: 2e-05 for -2e-05"),
+    "a whole number by one": (lambda: change("data/table.csv", "4", "5"), "data/table.csv", 1, r"DIFFERS .*\(count, row 2: 5 for 4\)"),
+    "text": (lambda: change("data/table.csv", "second", "Second"), "data/table.csv", 1, "DIFFERS .*name, row 2: Second for second"),
+    "a number for none": (lambda: change("data/table.csv", "4,", "4,0"), "data/table.csv", 1, "DIFFERS .*value, row 2: 0 for nan"),
+    "infinity": (lambda: change("data/table.csv", "1.5", "inf"), "data/table.csv", 1, "DIFFERS .*inf for 1.5"),
+    "a row less": (lambda: change("data/table.csv", "third,5,-2e-05\n", ""), "data/table.csv", 1, "name has 2 rows, the reference 3"),
+    "another column": (lambda: change("data/table.csv", "count", "number"), "data/table.csv", 1, "DIFFERS .*column count is only in the reference"),
+    "a line cut": (lambda: Path("data/table.csv").write_text(TABLE[:-8]), "data/table.csv", 1, "UNREADABLE .*do not all have 3 fields"),
+    "empty": (lambda: Path("data/table.csv").write_text(""), "data/table.csv", 1, "UNREADABLE .*it is empty"),
+    "long table, inside": (lambda: write_long(nudged(LONG, 0, 1e-10)), "data/long.csv", 0, "numbers agree .*a, row 1"),
+    "long table, outside": (lambda: write_long(nudged(LONG, 4999, 1e-4)), "data/long.csv", 1, "DIFFERS .*a, row 5000"),
+    "long table, everywhere": (lambda: write_long(LONG * [1, 1.001, 1]), "data/long.csv", 1, "DIFFERS .*b, row .* and 2.. more in this column"),
+    "long table, a row less": (lambda: write_long(LONG[:-1]), "data/long.csv", 1, "DIFFERS .*a has 4999 rows, the reference 5000"),
+    "recording, inside": (lambda: write_run(RUN * (1 + 1e-11)), "data/run.nc", 0, "numbers agree"),
+    "recording, outside": (lambda: write_run(nudged(RUN, 0, 1e-6)), "data/run.nc", 1, "DIFFERS .*x1, row 1:"),
+    "recording, other time": (lambda: write_run(RUN, 0.02), "data/run.nc", 1, "DIFFERS .*time, row "),
+    "recording, damaged": (lambda: Path("data/run.nc").write_bytes(b"junk"), "data/run.nc", 1, "UNREADABLE .*run.nc cannot be read"),
+    "model, other versions": (lambda: write_model('{"kind": "K", "strength": 0.1, "versions": {"numpy": "2"}}'), "data/model.npz", 0, "agree  .*all equal"),
+    "model, other kind": (lambda: write_model('{"kind": "L", "strength": 0.1}'), "data/model.npz", 1, "DIFFERS .*header.kind, row 1: L for K"),
+    "model, inside": (lambda: write_model(K=np.arange(400.0).reshape(20, 20) * (1 + 1e-9)), "data/model.npz", 0, "numbers agree .*K, row"),
+    "model, outside": (lambda: write_model(K=np.arange(400.0).reshape(20, 20) + 0.01), "data/model.npz", 1, "DIFFERS .*K, row"),
+    "model, transposed": (lambda: write_model(K=np.arange(400.0).reshape(20, 20).T), "data/model.npz", 1, "DIFFERS .*K, row"),
+    "model, reshaped": (lambda: write_model(K=np.arange(400.0)), "data/model.npz", 1, "DIFFERS .*K.shape, row 1"),
+    "model, rounding only": (lambda: write_model(noise=np.array([0, 9e-16])), "data/model.npz", 0, "numbers agree"),
+    "model, a rank": (lambda: write_model(rank=np.array(4)), "data/model.npz", 1, "DIFFERS .*rank, row 1: 4 for 3"),
+    "model, a pole": (lambda: write_model(poles=np.array([1 - 2j])), "data/model.npz", 1, "DIFFERS .*poles.imag, row 1: -2 for 2"),
+    "model, damaged": (lambda: Path("data/model.npz").write_bytes(b"PK"), "data/model.npz", 1, "UNREADABLE .*model.npz cannot be read"),
+    "model with code in it": (lambda: write_model(poles=np.array([{}], dtype=object)), "data/model.npz", 1, "UNREADABLE"),
+    "picture, other bytes": (lambda: Path("figures/plot.png").open("ab").write(b" "), "figures/plot.png", 0, "looks the same .*RMS 0.00"),
+    "picture moved": (lambda: write_picture(60), "figures/plot.png", 0, "looks different .*RMS [2-9]"),
+    "picture of another size": (lambda: write_picture(0, 300), "figures/plot.png", 0, "looks different .*240x300 pixels for 240x200"),
+    "picture damaged": (lambda: Path("figures/plot.png").write_bytes(b"junk"), "figures/plot.png", 1, "UNREADABLE .*plot.png cannot be read"),
+    "film, other bytes": (lambda: Path("figures/film.gif").open("ab").write(b" "), "figures/film.gif", 0, "looks the same .*RMS 0.00"),
+    "film, its last frame": (lambda: write_film(0), "figures/film.gif", 0, "looks different .*RMS [0-9]+"),
+    "film damaged": (lambda: Path("figures/film.gif").write_bytes(b"junk"), "figures/film.gif", 1, "UNREADABLE .*film.gif cannot be read"),
+    "pdf": (lambda: Path("figures/plot.pdf").write_bytes(b"%PDF-2"), "figures/plot.pdf", 0, "other bytes .*see plot.png and plot.csv"),
+    "pdf, empty": (lambda: Path("figures/plot.pdf").write_bytes(b""), "figures/plot.pdf", 1, "UNREADABLE .*it is empty"),
+    "table of a figure, inside": (lambda: change("figures/plot.csv", "1.5", "1.5000000001"), "figures/plot.csv", 0, "numbers agree .*1.5000000001 for 1.5"),
+    "table of a figure, outside": (lambda: change("figures/plot.csv", "1.5", "1.50001"), "figures/plot.csv", 1, r"DIFFERS .*\(value, row 1: 1.50001 for 1.5,"),
+    "missing": (lambda: Path("data/run.nc").unlink(), "data/run.nc", 1, "MISSING .*it is not there: make all"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", CHANGES)
+def test_one_change(project, what, capsys):
+    make, name, expected, pattern = CHANGES[what]
+    make()
+    status, lines = verdicts(capsys)
+    assert re.search(pattern, lines[name]), lines[name]
+    assert status == expected
+    assert all(line.startswith("same bytes") for other, line in lines.items() if other != name)
+
+
+# What is done to the reference while the table's bytes differ from it.
+LOST = {
+    "no copy": (lambda: Path("reference/data/table.csv").unlink(), r"MISSING .*lost reference/data/table.csv: git checkout"),
+    "a damaged copy": (lambda: Path("reference/data/table.csv").write_text('"'), r"UNREADABLE .*reference/data/table.csv cannot be read"),
+    "a copy cut short": (lambda: Path("reference/data/table.csv").write_text(TABLE[:29]), r"DIFFERS .*name has 3 rows, the reference 1"),
+    "no line in the manifest": (lambda: change("reference/SHA256SUMS", "data/table.csv", "data/other.csv"), r"MISSING .*reference has no reference for it"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", LOST)
+def test_a_damaged_reference(project, what, capsys):
+    change("data/table.csv", "1.5", "1.5000000001")
+    make, pattern = LOST[what]
+    make()
+    status, lines = verdicts(capsys)
+    assert status == 1
+    assert re.search(pattern, lines["data/table.csv"]), lines["data/table.csv"]
+
+
+# What is done to the repository, whose files stand for the figures and their tables; and what is said of one with other bytes.
+UNCOMMITTED = {
+    "no repository": (lambda: shutil.rmtree(".git"), "MISSING .*git has no {} to compare with: clone the repository, or commit the file"),
+    "not committed": (lambda: subprocess.run(["git", "update-ref", "-d", "HEAD"], check=True), "MISSING .*git has no {} to compare with"),
+    "regenerated and committed": (lambda: commit("figures"), "MISSING .*git has another {} than the reference names: commit it together"),
+}
+
+
+@pytest.mark.parametrize("what", UNCOMMITTED)
+def test_a_figure_that_git_does_not_have_is_named(project, what, capsys):
+    make, pattern = UNCOMMITTED[what]
+    write_picture(1)
+    change("figures/plot.csv", "1.5", "1.5000000001")
+    make()
+    status, lines = verdicts(capsys)
+    assert status == 1
+    for name in ("figures/plot.png", "figures/plot.csv"):
+        assert re.search(pattern.format(name), lines[name]), lines[name]
+    assert all(line.startswith("same bytes") for name, line in lines.items() if not name.startswith("figures/plot.") or name.endswith("pdf"))
+
+
+def test_equal_bytes_need_no_git(project, capsys):
+    shutil.rmtree(".git")
+    assert verdicts(capsys)[0] == 0
+
+
+def test_git_has_the_figures_that_the_reference_names():
+    """Otherwise another machine has nothing to compare them with."""
+    command = ["git", "ls-tree", "-r", "--name-only", "HEAD", "figures", "reference"]
+    tree = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    if tree.returncode:
+        pytest.skip("this is no git repository")
+    names = set(tree.stdout.split())
+    contents = {name: subprocess.run(["git", "show", f"HEAD:./{name}"], cwd=ROOT, capture_output=True).stdout for name in names}
+    sums = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items() if name.startswith("figures/")}
+    manifest = contents["reference/SHA256SUMS"].decode().splitlines()
+    expected = dict(reversed(line.split("  ")) for line in manifest if "figures/" in line)
+    assert sums == {name: value for name, value in expected.items() if not name.endswith(artefacts.DRAWINGS)}
+    assert not [name for name in names if name.startswith("reference/figures")]
+
+
+def test_what_make_no_longer_builds_and_what_has_no_reference(project, capsys):
+    status, lines = verdicts(capsys, FILES[1:])
+    assert status == 1 and lines["data/table.csv"].startswith("MISSING") and "no longer builds it" in lines["data/table.csv"]
+    Path("data/new.csv").write_text(TABLE)
+    status, lines = verdicts(capsys, [*FILES, "data/new.csv"])
+    assert status == 1 and "has no reference for it: make bless" in lines["data/new.csv"]
+
+
+@pytest.mark.parametrize("content", [None, "no manifest\n", b"\xff\xfe"])
+def test_without_a_manifest_one_sentence(project, content, capsys):
+    manifest = Path("reference/SHA256SUMS")
+    manifest.unlink()
+    if content:
+        manifest.write_bytes(content if isinstance(content, bytes) else content.encode())
+    capsys.readouterr()
+    assert verification.main(["data/table.csv"]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and len(printed.err.splitlines()) == 1 and "git checkout reference, or make bless" in printed.err
+
+
+def test_bless_replaces_what_changed_and_removes_what_went(project, capsys):
+    Path("reference/README.md").write_text("kept")
+    change("data/table.csv", "1.5", "2.5")
+    capsys.readouterr()
+    assert verification.main(["--bless", *map(str, FILES[:2])]) == 0
+    assert "7 new or changed: data/model.npz, data/run.nc, data/table.csv" in capsys.readouterr().out
+    assert sorted(path.name for path in Path("reference").rglob("*.*")) == ["README.md", "long.csv", "table.csv"]
+    assert verdicts(capsys, FILES[:2])[0] == 0
+
+
+def test_bless_without_an_artefact_changes_nothing(project, capsys):
+    before = {path: path.read_bytes() for path in Path("reference").rglob("*") if path.is_file()}
+    Path("data/table.csv").unlink()
+    write_long(-LONG)
+    assert verification.main(["--bless", *map(str, FILES)]) == 1
+    assert "data/table.csv missing: make all first" in capsys.readouterr().err
+    assert before == {path: path.read_bytes() for path in Path("reference").rglob("*") if path.is_file()}
+
+
+def test_two_blesses_write_the_same_bytes(project):
+    before = {path: path.read_bytes() for path in Path("reference").rglob("*") if path.is_file()}
+    assert verification.bless(FILES, Path("reference")) == 0
+    assert before == {path: path.read_bytes() for path in Path("reference").rglob("*") if path.is_file()}
+
+
+def test_long_copies_are_thinned_and_keep_both_ends(project):
+    rows = artefacts.read_copy(Path("reference/data/long.csv"))["a"][0]
+    assert len(rows) == artefacts.ROWS and rows[0] == 0 and rows[-1] == 4999
+    arrays = artefacts.read_copy(Path("reference/data/model.npz.csv"))
+    assert len(arrays["K"][0]) == artefacts.ROWS and arrays["K"][0][-1] == 399 and arrays["noise"][0] == [0, 1]
+
+
+def test_a_line_moved_by_its_width_looks_different(tmp_path, monkeypatch):
+    """What `LOOKS` is for, at the size of the project's own figures."""
+    monkeypatch.chdir(tmp_path)
+    Path("figures").mkdir()
+    picture = []
+    for place in (0, 4):
+        write_picture(place, 700)
+        picture.append(artefacts.picture(Path("figures/plot.png")))
+    assert ((picture[0] - picture[1]) ** 2).mean() ** 0.5 > verification.LOOKS
+
+
+def test_equal_bytes_need_no_numpy():
+    code = "import sys, tras.paper.verification; sys.exit('numpy' in sys.modules or 'matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0

@@ -1,0 +1,172 @@
+"""Dictionaries: the functions psi(x, u) that lift a state and an input (paper, (6)-(8)).
+
+Every dictionary begins with the constant, the states and the inputs, so a state can be read back from its lifting; what
+follows is its own. They expect channels of order one: `tras.KoopmanModel` scales each channel to [-1, 1] before it lifts.
+"""
+
+import hashlib
+
+import numpy as np
+from sklearn.base import BaseEstimator
+
+POSITIVE = "a positive number, in units of the scaled channels"  # what `tras.workflow.arguments.number` says to give
+STRIP = 2**13  # points that are lifted at a time: what some dictionaries make on the way is no larger than that
+
+class Dictionary(BaseEstimator):
+    """N functions of n states and m inputs, with names and exact Jacobians; scikit-learn conventions.
+
+    A subclass supplies, for points in columns (``z`` is (n + m, points)):
+
+    ``_learn(z)``
+        Sets what depends on the data, in attributes that end in an underscore; these are what a file keeps.
+    ``_build()``
+        Derives the rest from them and from ``n_states_``, ``n_inputs_``; returns how many functions follow the head.
+    ``_fill(psi, z)``
+        Writes them into ``psi[head:]``; ``psi`` is (N, points), its head (constant, states, inputs) is there already. Several threads may call it
+        at once, for strips of points.
+    ``_fill_slopes(slopes, psi, z)``
+        Writes their derivatives by the states into ``slopes[head:]``, (N, n, points), zero so far.
+    ``_tail_names(channels)``
+        Names them.
+    """
+
+    def fit(self, x, u=None):
+        """Learn what the dictionary needs (the number of channels; centres) from samples (..., n) and (..., m)."""
+        x, u = _samples(x, u)
+        for name in [name for name in vars(self) if name.endswith("_")]:
+            delattr(self, name)  # what an earlier fit learnt
+        self.n_states_, self.n_inputs_ = x.shape[-1], u.shape[-1]
+        self._learn(_columns(x, u))
+        return self.restore()
+
+    def __call__(self, x, u=None):
+        """Lift: states (..., n) and inputs (..., m) -> (..., N), equation (7). An unfitted dictionary is fitted first."""
+        z, leading = self.points(x, u)
+        return self.lift(z).T.reshape(*leading, -1)
+
+    def jacobian(self, x, u=None):
+        """``d psi / d x``, used in (17) and (18): (..., n), (..., m) -> (..., N, n)."""
+        z, leading = self.points(x, u)
+        slopes = self.lift_slopes(z)
+        return np.moveaxis(slopes, -1, 0).reshape(*leading, *slopes.shape[:2])
+
+    def lift(self, z, out=None):
+        """The same as calling, for points in columns: (n + m, points) -> (N, points), every function a contiguous row.
+
+        ``out`` takes the result, if given. Symbols in place of numbers give formulas (`tras.export.symbols`).
+        """
+        head, points = 1 + len(z), z.shape[1]
+        psi = np.empty((self.size, points), dtype=np.result_type(z, float)) if out is None else out
+        psi[0] = 1
+        psi[1:head] = z
+        if points <= STRIP:
+            self._fill(psi, z)
+        else:
+            for a in range(0, points, STRIP):
+                self._fill(psi[:, a : a + STRIP], z[:, a : a + STRIP])
+        return psi
+
+    def lift_slopes(self, z):
+        """The same as `jacobian`, for points in columns: (n + m, points) -> (N, n, points)."""
+        return self.lift_with_slopes(z)[1]
+
+    def lift_with_slopes(self, z):
+        """`lift` and `lift_slopes` of the same points at once: most slopes are made of the functions' values."""
+        psi, slopes = self.lift(z), np.zeros((self.size, self.n_states_, z.shape[1]))
+        slopes[self.coordinates, np.arange(self.n_states_)] = 1
+        self._fill_slopes(slopes, psi, z)
+        return psi, slopes
+
+    @property
+    def names(self):
+        """Names of the N functions, channels called x1, x2, ... and u1, u2, ..."""
+        return self.feature_names([f"x{i + 1}" for i in range(self.n_states_)] + [f"u{i + 1}" for i in range(self.n_inputs_)])
+
+    def feature_names(self, channels):
+        """Names of the N functions for the given channel names, states first."""
+        return ["1", *channels, *self._tail_names(list(channels))]
+
+    def words(self, channels):
+        """The dictionary in a few words for a report, channels by their names."""
+        return label(self)
+
+    def get_feature_names_out(self, input_features=None):
+        """scikit-learn's name for `feature_names`."""
+        return np.array(self.names if input_features is None else self.feature_names(list(input_features)), dtype=object)
+
+    @property
+    def coordinates(self):
+        """Indices of the functions that are the states themselves: the constant comes first, then they."""
+        return np.arange(1, 1 + self.n_states_)
+
+    @property
+    def confined(self):
+        """Channels in which the functions are guesswork beyond the data, by number; None is all. See `tras.hull.Hull`."""
+        return None
+
+    def _learn(self, z):
+        """Nothing depends on the data unless a subclass says so."""
+
+    def restore(self):
+        """Ready for use, from what was learnt: also after reading a file."""
+        self.size = 1 + self.n_states_ + self.n_inputs_ + self._build()
+        return self
+
+    def points(self, x, u):
+        x, u = _samples(x, u)
+        if not hasattr(self, "n_states_"):
+            self.fit(x, u)
+        if (x.shape[-1], u.shape[-1]) != (self.n_states_, self.n_inputs_):
+            raise ValueError(
+                f"x and u have {x.shape[-1]} and {u.shape[-1]} channels but the dictionary was fitted to {self.n_states_} and "
+                f"{self.n_inputs_}; hand in the same channels."
+            )
+        return _columns(x, u), x.shape[:-1]
+
+
+def label(estimator):
+    """A dictionary in one line of a table, or a model by its dictionary and delays: every parameter that is set, with its value.
+
+    >>> import tras
+    >>> label(tras.Union(tras.Monomials(1), tras.Fourier()))
+    'Union(parts=[Monomials(degree=1), Fourier(order=1, period=4.0)])'
+    """
+    dictionary, delays = getattr(estimator, "dictionary", estimator), getattr(estimator, "delays", 0)
+    parameters = {name: value for name, value in dictionary.get_params(deep=False).items() if value is not None}
+    line = f"{type(dictionary).__name__}({', '.join(f'{name}={spelled(value)}' for name, value in parameters.items())})"
+    return line + (f", {delays} delays" if delays else "")
+
+
+def spelled(value):
+    """An estimator with all its parameters, or the value of one, in a line of text; arrays and generators by a digest."""
+    if isinstance(value, BaseEstimator):
+        inner = {key: spelled(item) for key, item in value.get_params(deep=False).items()}
+        return f"{type(value).__name__}({', '.join(f'{key}={item}' for key, item in inner.items())})"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(spelled, value))}]"
+    if isinstance(value, np.random.Generator):
+        return f"Generator {_digest(repr(value.bit_generator.state).encode())}"
+    if isinstance(value, np.ndarray):
+        return f"array {value.shape} {_digest(np.ascontiguousarray(value).tobytes())}"
+    return repr(value.item() if isinstance(value, np.generic) else value)
+
+
+def _digest(data):
+    return hashlib.sha256(data).hexdigest()[:12]
+
+
+def _samples(x, u):
+    """x (..., n) and u (..., m) as floats with the same leading axes; ``u=None`` is m = 0."""
+    x = np.asarray(x, dtype=float)
+    u = np.empty((*x.shape[:-1], 0)) if u is None else np.asarray(u, dtype=float)
+    if x.ndim == 0 or u.shape[:-1] != x.shape[:-1]:
+        raise ValueError(f"x has shape {x.shape} and u {u.shape}; give (..., n) and (..., m) with the same leading axes.")
+    return x, u
+
+
+def _columns(x, u):
+    """(n + m, points): channels first, so that every function of the lifting is one contiguous row."""
+    n, m = x.shape[-1], u.shape[-1]
+    z = np.empty((n + m, x.size // n))
+    z[:n], z[n:] = x.reshape(-1, n).T, u.reshape(-1, m).T if m else 0
+    return z

@@ -1,0 +1,189 @@
+"""The explorer in Jupyter: controls for every field of a `Choice`, and its outcome, which `tras.explorer.explore` computes.
+
+A slider acts on release, a menu at once. A choice that gives no model leaves the last picture and says why.
+"""
+
+import html
+import time
+
+import ipywidgets
+
+from tras.explorer.choice import EXAMPLES, OPTIONS, SIZES, Choice, ChoiceError, write_parameters
+from tras.explorer.explore import explore, numbers
+from tras.explorer.figures import outcome_figure, png
+
+_LABELS = {
+    "frequency_unit": "frequencies in", "sampling_time": "sampling (s)", "duration": "duration (s)",
+    "noise": "noise (%)", "horizon": "horizon (s)", "nrmse_range": "range in (21)", "extrapolation": "beyond data",
+    "regularization": "regularize", "field": "F from",
+}  # fmt: skip
+_WORDS = {
+    "least_squares": "equation (18)", "coordinates": "columns of A", "four_states": "all four",
+    "delayed_angles": "two angles", "vector_field": "vector field", "one_step": "one step",
+    "lifted_linear": "lifted linear", "validation_set": "whole recording", "trajectory": "each window",
+    "functions": "trust functions",
+}  # fmt: skip
+_GROUPS = {
+    "Experiment": ("input", "frequency_unit", "duration", "sampling_time", "noise", "seed"),
+    "Model": (
+        *("dictionary", "size", "width", "state", "delays"),
+        *("predictor", "field", "regularization", "strength", "extrapolation"),
+    ),
+    "Judged over": ("horizon", "nrmse_range"),
+}
+_SAMPLING_TIMES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
+_STYLE = {"description_width": "92px"}
+_WIDE = {"width": "300px"}
+
+
+class Explorer:
+    """The panel of the explorer; ``display(explorer.view)`` or the last line of a cell shows it.
+
+    Parameters
+    ----------
+    choice : Choice, optional
+        The first choice; the paper's by default.
+    folder : str or Path, optional
+        Folder for parameter files; ``params/`` of the project by default.
+
+    Attributes
+    ----------
+    controls : dict of str to ipywidgets.Widget
+        One per field of `Choice`.
+    outcome : tras.explorer.explore.Outcome
+        Outcome of the last choice that gave a model.
+    view : ipywidgets.Widget
+    """
+
+    def __init__(self, choice=None, folder=None):
+        choice = choice or Choice()
+        self.folder, self.outcome, self._quiet = folder, None, False
+        self.controls = {name: _control(name, value) for name, value in choice.as_dict().items()}
+        self.picture = ipywidgets.Image(format="png", layout={"width": "100%"})
+        self.table, self.message, self.answer = ipywidgets.HTML(), ipywidgets.HTML(), ipywidgets.HTML()
+        self.example = ipywidgets.Dropdown(options=[("an example ...", None), *EXAMPLES.items()], layout=_WIDE)
+        self.name = ipywidgets.Text("mine", description="NAME", style=_STYLE, layout=_WIDE)
+        self.button = ipywidgets.Button(description="write params/NAME.yaml", layout=_WIDE)
+        for control in self.controls.values():
+            control.observe(self._changed, names="value")
+        self.example.observe(self._take_example, names="value")
+        self.button.on_click(self._write)
+        self.view = self._arranged()
+        self._fit_size()
+        self.redraw()
+
+    @property
+    def choice(self):
+        """The `Choice` that the controls hold; raises a `ChoiceError` if they are wrong."""
+        return Choice(**{name: control.value for name, control in self.controls.items()})
+
+    def set(self, choice):
+        """Put a choice into the controls and show its outcome."""
+        self._quiet = True
+        try:
+            times = self.controls["sampling_time"]
+            times.options = sorted({*times.options, choice.sampling_time})
+            self.controls["dictionary"].value = choice.dictionary
+            self._fit_size()
+            for name, value in choice.as_dict().items():
+                self.controls[name].value = value
+        finally:
+            self._quiet = False
+        self.redraw()
+
+    def redraw(self):
+        """Fit, predict, judge and show; or say why there is nothing to show."""
+        start = time.perf_counter()
+        self._enable()
+        try:
+            outcome = explore(self.choice)
+        except ChoiceError as error:
+            stale = "The picture and the numbers are still those of the last choice that gave a model."
+            self.message.value = _note(f"{error} {stale}", "#b00020")
+            return
+        self.picture.value = png(outcome_figure(outcome.overlay, outcome.growth, outcome.spectrum))
+        self.table.value = numbers(outcome).to_html(border=0)
+        self.outcome, seconds = outcome, time.perf_counter() - start
+        size = f"N = {len(outcome.model.names_)} functions, {outcome.model.pairs_} snapshot pairs"
+        facts = f"{size}; fitted, judged and drawn in {seconds:.2f} s."
+        self.message.value = _note(" ".join([facts, *outcome.remarks]))
+
+    def _changed(self, change):
+        if self._quiet:
+            return
+        if change["owner"] is self.controls["dictionary"]:
+            self._quiet = True
+            self._fit_size(usual=True)
+            self._quiet = False
+        self.redraw()
+
+    def _take_example(self, change):
+        if change["new"] is not None:
+            self.set(change["new"])
+
+    def _fit_size(self, usual=False):
+        """Give the size the range of the dictionary."""
+        low, high, common, meaning = SIZES[self.controls["dictionary"].value]
+        size = self.controls["size"]
+        value = common if usual else min(max(size.value, low), high)
+        # The value stays inside the range at every moment: a correction by the browser would come back as a choice.
+        for name, new in (("value", value), ("max", high)) if value <= size.max else (("max", high), ("value", value)):
+            setattr(size, name, new)
+        size.tooltip = meaning
+
+    def _enable(self):
+        """Grey the controls that have no effect on the present choice."""
+        values = {name: control.value for name, control in self.controls.items()}
+        nonlinear = values["dictionary"] != "linear"
+        effective = {
+            "size": nonlinear, "width": values["dictionary"] == "gaussian",
+            "field": values["predictor"] == "vector_field", "strength": values["regularization"] != "none",
+            "extrapolation": nonlinear and values["predictor"] != "lifted_linear",
+        }  # fmt: skip
+        for name, enabled in effective.items():
+            self.controls[name].disabled = not enabled
+
+    def _write(self, _):
+        try:
+            path = write_parameters(self.choice, self.name.value, self.folder)
+        except (ValueError, OSError) as error:
+            self.answer.value = _note(str(error), "#b00020")
+        else:
+            self.answer.value = _note(f"{path.name} is written: make all PROFILE={path.stem}")
+
+    def _arranged(self):
+        column = [self.example]
+        for title, names in _GROUPS.items():
+            column += [ipywidgets.HTML(f"<b>{title}</b>"), *(self.controls[name] for name in names)]
+        column += [ipywidgets.HTML("<b>Keep it</b>"), self.name, self.button, self.answer]
+        left = ipywidgets.VBox(column, layout={"flex": "0 0 310px"})
+        wide = {"flex": "1 1 420px", "min_width": "0"}
+        right = ipywidgets.VBox([self.message, self.picture, self.table], layout=wide)
+        return ipywidgets.HBox([left, right])
+
+
+def _control(name, value):
+    """The widget of one field with its value."""
+    look = {"description": _LABELS.get(name, name.replace("_", " ")), "style": _STYLE, "layout": _WIDE}
+    late = look | {"continuous_update": False}
+    if name in OPTIONS:
+        meanings = "; ".join(f"{choice}: {meaning}" for choice, meaning in OPTIONS[name].items())
+        options = [(_WORDS.get(choice, choice), choice) for choice in OPTIONS[name]]
+        return ipywidgets.Dropdown(options=options, value=value, tooltip=meanings, **look)
+    if name == "sampling_time":
+        return ipywidgets.SelectionSlider(options=sorted({*_SAMPLING_TIMES, value}), value=value, **late)
+    makers = {
+        "duration": lambda: ipywidgets.FloatSlider(value, min=20, max=1000, step=20, readout_format=".0f", **late),
+        "noise": lambda: ipywidgets.FloatSlider(value, min=0, max=10, step=0.1, readout_format=".1f", **late),
+        "seed": lambda: ipywidgets.BoundedIntText(value, min=1, max=10_000, **look),
+        "size": lambda: ipywidgets.IntSlider(value, min=1, max=200, **late),
+        "width": lambda: ipywidgets.FloatLogSlider(value, min=-1, max=1, step=0.1, readout_format=".2f", **late),
+        "delays": lambda: ipywidgets.IntSlider(value, min=0, max=10, **late),
+        "strength": lambda: ipywidgets.FloatLogSlider(value, min=-6, max=0, step=0.5, readout_format=".0e", **late),
+        "horizon": lambda: ipywidgets.FloatSlider(value, min=1, max=60, step=1, readout_format=".0f", **late),
+    }
+    return makers[name]()
+
+
+def _note(text, colour="#404040"):
+    return f'<div role="status" style="color:{colour}; line-height:1.35; white-space:normal">{html.escape(text)}</div>'

@@ -1,0 +1,10 @@
+"""Models for other programs: C, MATLAB, formulas, and the state space of python-control.
+
+Read `common` first, then one of `c`, `matlab` and `equations` (which stands on `expansion` and `symbols`). These four are the public
+names; everything else is of the rooms.
+"""
+
+from tras.export.c import to_c as to_c
+from tras.export.common import to_statespace as to_statespace
+from tras.export.equations import formulas as formulas
+from tras.export.matlab import to_matlab as to_matlab

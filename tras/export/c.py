@@ -1,0 +1,251 @@
+"""The one-step predictor as C99: a header and a source that need only libm, allocate nothing and keep no state."""
+
+import numpy as np
+
+from tras.export import symbols
+from tras.export.common import file_and_name, input_vector, map_of, origin, state_vector
+from tras.workflow.files import replacing
+
+_SHIFTS = """\
+    /* Shift the earlier samples, newest first. */
+    for (int i = {last}; i >= {n}; i--) x_next[i] = x[i - {n}];
+"""
+_SHIFTS_OF_INPUTS = """\
+    for (int i = {end}; i >= {second}; i--) x_next[i] = x[i - {m}];
+    for (int i = 0; i < {m}; i++) x_next[{past} + i] = u[i];
+"""
+_HULL = """\
+    /* The nearest point of the box around the training data, along their principal axes. */
+    double near[CHANNELS], beyond[CHANNELS];
+    for (int j = 0; j < CHANNELS; j++) {
+        double t = 0.0;
+        for (int i = 0; i < CHANNELS; i++) t += axes[i][j] * (z[i] - centre[i]);
+        beyond[j] = t < low[j] ? t - low[j] : t > high[j] ? t - high[j] : 0.0;
+    }
+    for (int i = 0; i < CHANNELS; i++) {
+        near[i] = z[i];
+        for (int j = 0; j < CHANNELS; j++) near[i] -= axes[i][j] * beyond[j];
+    }
+    lift(near, psi);
+"""
+_MAP = """\
+/* {what}, in scaled channels: matrix psi(z){beyond}. */
+static void map(const double *z, double *result)
+{{
+    double psi[FUNCTIONS];
+{hull}    for (int i = 0; i < ROWS; i++) {{
+        result[i] = 0.0;
+        for (int j = 0; j < FUNCTIONS; j++) result[i] += matrix[i][j] * psi[j];
+{outward}    }}
+}}
+"""
+_OUTWARD = "        for (int j = 0; j < CHANNELS; j++) result[i] += outward[i][j] * (z[j] - near[j]);\n"
+_RUNGE_KUTTA = """\
+    /* Classical steps of order 4, the input held. */
+    const double h = {dt} / {substeps};
+    double z[CHANNELS], point[CHANNELS], k1[STATES], k2[STATES], k3[STATES], k4[STATES];
+    scale(x, u, z);
+    for (int i = STATES; i < CHANNELS; i++) point[i] = z[i];
+    for (int step = 0; step < {substeps}; step++) {{
+        for (int i = 0; i < STATES; i++) point[i] = z[i];
+        map(point, k1);
+        for (int i = 0; i < STATES; i++) point[i] = z[i] + h / 2 * k1[i];
+        map(point, k2);
+        for (int i = 0; i < STATES; i++) point[i] = z[i] + h / 2 * k2[i];
+        map(point, k3);
+        for (int i = 0; i < STATES; i++) point[i] = z[i] + h * k3[i];
+        map(point, k4);
+        for (int i = 0; i < STATES; i++) z[i] += h / 6 * (k1[i] + 2 * (k2[i] + k3[i]) + k4[i]);
+    }}
+"""
+_FIELD = """
+void {name}_field(const double *x, const double *u, double *rate)
+{{
+    double z[CHANNELS];
+    scale(x, u, z);
+    map(z, rate);
+    for (int i = 0; i < STATES; i++) rate[i] *= x_scale[i];
+}}
+"""
+_SCALE = """\
+static void scale(const double *x, const double *u, double *z)
+{{
+    for (int i = 0; i < STATES; i++) z[i] = (x[i] - x_offset[i]) / x_scale[i];
+{inputs}}}
+
+"""
+_SCALE_INPUTS = "    for (int i = 0; i < INPUTS; i++) z[STATES + i] = (u[i] - u_offset[i]) / u_scale[i];\n"
+_LINEAR = """
+void {name}_lift(const double *x, double *z)
+{{
+    double scaled[STATES];
+    for (int i = 0; i < STATES; i++) scaled[i] = (x[i] - x_offset[i]) / x_scale[i];
+    lift(scaled, z);
+}}
+
+void {name}_step(const double *z, const double *u, double *z_next)
+{{
+{body}}}
+
+void {name}_read(const double *z, double *x)
+{{
+    for (int i = 0; i < {n}; i++) x[i] = z[1 + i] * x_scale[i] + x_offset[i];
+}}
+"""
+_LINEAR_BODY = """\
+    double next[FUNCTIONS];
+    for (int i = 0; i < FUNCTIONS; i++) {{
+        next[i] = 0.0;
+        for (int j = 0; j < FUNCTIONS; j++) next[i] += A[i][j] * z[j];
+{inputs}    }}
+    for (int i = 0; i < FUNCTIONS; i++) z_next[i] = next[i];
+"""
+_LINEAR_INPUTS = "        for (int j = 0; j < INPUTS; j++) next[i] += B[i][j] * ((u[j] - u_offset[j]) / u_scale[j]);\n"
+_UNUSED = "    (void)u;\n"
+
+
+def to_c(model, path):
+    """Write a model as C99: ``path``, which ends in .c, and a header of the same name.
+
+    ``void NAME_step(const double *x, const double *u, double *x_next)`` predicts one sample in physical units, also
+    beyond the training data; NAME is the file's. With delays, x holds the newest sample, then the earlier ones, then
+    (except with ``vector_field``) the earlier inputs, as the header lists. ``vector_field`` adds ``NAME_field``. With
+    ``lifted_linear``, ``NAME_lift`` lifts x to z, ``NAME_step`` works on z, and ``NAME_read`` reads x from z.
+
+    Returns
+    -------
+    list of pathlib.Path
+
+    Raises
+    ------
+    ValueError
+        If the model is not fitted, the path does not end in .c, or the dictionary cannot be written as formulas.
+
+    Examples
+    --------
+    >>> import numpy as np, tempfile, tras
+    >>> x, u = np.random.default_rng(0).uniform(-1, 1, (2, 5, 20, 1))
+    >>> model = tras.KoopmanModel(tras.Monomials(2), "one_step").fit(tras.Recording(x, u, 0.1))
+    >>> [path.name for path in to_c(model, f"{tempfile.mkdtemp()}/rig.c")]
+    ['rig.h', 'rig.c']
+    """
+    model.require_fitted()
+    path, name = file_and_name(path, ".c")
+    notes = [_comment(line) for line in origin(model, path, name)]
+    source = f'#include "{path.stem}.h"\n\n#include <math.h>\n\n{_source(model, name)}'
+    files = {path.with_suffix(".h"): _header(model, name), path: source}
+    for file, contents in files.items():
+        with replacing(file) as temporary:
+            temporary.write_text("\n".join(["/*", *notes, " */", contents]), encoding="utf-8", newline="\n")
+    return list(files)
+
+
+def _header(model, name):
+    linear, m = model.predictor == "lifted_linear", len(model.input_names_)
+    x, guard = state_vector(model), f"{name.upper()}_H"
+    lines = [f"#ifndef {guard}", f"#define {guard}", "", "/*", " Vectors, in physical units:"]
+    lines += [_comment(f"x[{i}]: {channel}") for i, channel in enumerate(x)]
+    lines += [_comment(f"u[{i}]: {channel}") for i, channel in enumerate(input_vector(model))]
+    lines += [" No input: u is not read and may be NULL."] * (m == 0) + [" */"]
+    lines += [f"#define {name.upper()}_STATES {len(x)}", f"#define {name.upper()}_INPUTS {m}"]
+    lines += [f"#define {name.upper()}_LIFTED {len(model.names_)}"] * linear
+    lines += ["", "#ifdef __cplusplus", 'extern "C" {', "#endif", ""]
+    if linear:
+        lines += [
+            "/* Lift a state once, step in the lifted space, where the system is linear, and read x from z. */",
+            f"void {name}_lift(const double *x, double *z);",
+            f"/* One sample ({model.dt_!r} s) later, the input held; z_next may be z. */",
+            f"void {name}_step(const double *z, const double *u, double *z_next);",
+            f"void {name}_read(const double *z, double *x);",
+        ]
+    else:
+        lines += [
+            f"/* One sample ({model.dt_!r} s) later, the input held; x_next may be x. */",
+            f"void {name}_step(const double *x, const double *u, double *x_next);",
+        ]
+    if model.predictor == "vector_field":
+        lines += ["/* dx/dt. */", f"void {name}_field(const double *x, const double *u, double *rate);"]
+    return "\n".join([*lines, "", "#ifdef __cplusplus", "}", "#endif", "", "#endif", ""])
+
+
+def _source(model, name):
+    linear, m, states = model.predictor == "lifted_linear", len(model.input_names_), len(model.channels_.z_scale)
+    counts = {"STATES": states, "INPUTS": m, "CHANNELS": states + m, "FUNCTIONS": len(model.names_)}
+    arrays = {"x_offset": model.channels_.z_offset, "x_scale": model.channels_.z_scale}
+    if m:
+        arrays |= {"u_offset": model.u_offset_, "u_scale": model.u_scale_}
+    if linear:
+        del counts["CHANNELS"]
+        counts = counts if m else {key: value for key, value in counts.items() if key != "INPUTS"}
+        arrays |= {"A": model.koopman_matrix.T} | ({"B": model.B_} if m else {})
+        body = _lift(model) + _linear(model, name)
+    else:
+        matrix, _, hull, outward = map_of(model)
+        counts = {key: value for key, value in counts.items() if key != "INPUTS" or m} | {"ROWS": len(matrix)}
+        arrays["matrix"] = matrix
+        if hull is not None:
+            arrays |= {"centre": hull.centre[:, 0], "axes": hull.axes, "low": hull.lower[:, 0], "high": hull.upper[:, 0], "outward": outward}
+        body = _lift(model) + _map(model, hull) + _steps(model, name)
+    constants = "enum { " + ", ".join(f"{key} = {value}" for key, value in counts.items()) + " };\n\n"
+    return constants + "".join(_array(key, value) for key, value in arrays.items()) + "\n" + body
+
+
+def _lift(model):
+    lines = symbols.code(symbols.functions(model.dictionary_), symbols.C)
+    names = [_comment(f"psi[{i}]: {function}") for i, function in enumerate(model.names_)]
+    head = ["/*", *names, " */", "static void lift(const double *z, double *psi)", "{"]
+    return "\n".join([*head, *(f"    {line}" for line in lines), "}", "", ""])
+
+
+def _map(model, hull):
+    field = model.predictor == "vector_field"
+    return _MAP.format(
+        what="Rates of the states" if field else "The states one sample later",
+        beyond="" if hull is None else "; beyond the training data linear",
+        hull="    lift(z, psi);\n" if hull is None else _HULL,
+        outward="" if hull is None else _OUTWARD,
+    )
+
+
+def _steps(model, name):
+    """The functions of scaling, of one step, and of the field."""
+    n, m, d = len(model.state_names_), len(model.input_names_), model.delays
+    scale = _SCALE.format(inputs=_SCALE_INPUTS if m else _UNUSED)
+    field = model.predictor == "vector_field"
+    if field:
+        body = _RUNGE_KUTTA.format(dt=symbols.literal(model.dt_), substeps=int(model.substeps_))
+    else:
+        body = "    double point[CHANNELS], z[ROWS];\n    scale(x, u, point);\n    map(point, z);\n"
+    if model.channels_.delayed_inputs:
+        past = n * (d + 1)
+        body += _SHIFTS_OF_INPUTS.format(end=past + m * d - 1, second=past + m, m=m, past=past)
+    if d:
+        body += _SHIFTS.format(last=n * (d + 1) - 1, n=n)
+    body += f"    for (int i = 0; i < {n}; i++) x_next[i] = z[i] * x_scale[i] + x_offset[i];\n"
+    step = f"\nvoid {name}_step(const double *x, const double *u, double *x_next)\n{{\n{body}}}\n"
+    return "\n" + scale.rstrip("\n") + "\n" + step + (_FIELD.format(name=name) if field else "")
+
+
+def _linear(model, name):
+    m = len(model.input_names_)
+    body = _LINEAR_BODY.format(inputs=_LINEAR_INPUTS if m else "")
+    return _LINEAR.format(name=name, n=len(model.state_names_), body=body if m else _UNUSED + body).lstrip("\n")
+
+
+def _array(name, values):
+    """A constant array, one row per line."""
+    values = np.asarray(values, dtype=float)
+    size = "".join(f"[{k}]" for k in values.shape)
+    if values.ndim == 1:
+        return f"static const double {name}{size} = {{{_row(values)}}};\n"
+    rows = ",\n".join(f"    {{{_row(row)}}}" for row in values)
+    return f"static const double {name}{size} = {{\n{rows}\n}};\n"
+
+
+def _row(values):
+    return ", ".join(symbols.literal(v) if np.isfinite(v) else "INFINITY" if v > 0 else "-INFINITY" for v in values)
+
+
+def _comment(line):
+    """A line inside a comment, which it must neither close nor seem to open."""
+    return " " + line.replace("*/", "* /").replace("/*", "/ *")

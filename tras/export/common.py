@@ -1,0 +1,148 @@
+"""Models for other programs: what MATLAB, C and formulas share (names, origin, the map), and python-control.
+
+No file contains the time of writing: the same model gives the same bytes.
+"""
+
+import keyword
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+import tras
+
+# Names that no function or variable may have in Python, C99, MATLAB or Octave.
+_RESERVED_WORDS = {
+    *keyword.kwlist,
+    *"auto break case char const continue default do double else enum extern float for goto if inline int long".split(),
+    *"register restrict return short signed sizeof static struct switch typedef union unsigned void volatile".split(),
+    *"while main catch classdef elseif end endfunction endif function global otherwise parfor persistent".split(),
+    *"spmd until exp log sin cos tan sinh cosh tanh sqrt pi e i j".split(),
+}
+
+
+class StateSpace(NamedTuple):
+    """``z[k+1] = A z[k] + B u[k]``, ``x[k] = C z[k] + D u[k]``, sampled every ``dt`` seconds; see `to_statespace`."""
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    dt: float
+
+
+def map_of(model):
+    """The `tras.predictors.Map` of a model that is not ``lifted_linear``: the rates of all states, or the n next states of ``one_step``."""
+    step = model.map()
+    rows = len(model.state_names_) if model.predictor == "one_step" else None
+    return step._replace(matrix=step.matrix[:rows], outward=None if step.hull is None else step.outward[:rows])
+
+
+def identifier(name, avoid=()):
+    """``name`` as a variable of C, MATLAB and Python, and none to ``avoid``: ``"3 phi[-1]"`` becomes ``"x3_phi_1"``.
+
+    Examples
+    --------
+    >>> identifier("phi[-1]"), identifier("while"), identifier("phi", avoid={"phi"})
+    ('phi_1', 'while_', 'phi_2')
+    """
+    word = re.sub(r"\W+", "_", str(name), flags=re.ASCII).strip("_")[:40] or "x"
+    word = f"x{word}" if word[0].isdigit() else word
+    word = f"{word}_" if word in _RESERVED_WORDS else word
+    candidate, k = word, 2
+    while candidate in avoid:
+        candidate, k = f"{word}_{k}", k + 1
+    return candidate
+
+
+def identifiers(names, avoid=()):
+    """An `identifier` for each name, all different and none to ``avoid``."""
+    words = []
+    for name in names:
+        words.append(identifier(name, {*words, *avoid}))
+    return words
+
+
+def file_and_name(path, suffix):
+    """The path, and the name that the functions in the file begin with."""
+    path = Path(path)
+    if path.suffix != suffix:
+        raise ValueError(f"path {path} ends in {path.suffix!r}; give one that ends in {suffix}, such as model{suffix}.")
+    return path, identifier(path.stem)
+
+
+def origin(model, path=None, name=None):
+    """Lines of text: where a file comes from, and what its numbers mean."""
+    units = [unit or "unit unknown" for unit in (*model.state_units_, *model.input_units_)]
+    channels = [f"{channel} ({unit})" for channel, unit in zip((*model.state_names_, *model.input_names_), units)]
+    n = len(model.state_names_)
+    lines = [
+        f"A model identified by extended dynamic mode decomposition; written by tras {tras.__version__}.",
+        f"predictor {model.predictor}, dictionary {model.dictionary_!r}, N = {len(model.names_)}",
+        f"sampling time {model.dt_!r} s, delays {model.delays}, "
+        f"regularization {model.regularization} of strength {model.strength_!r}",
+        f"states: {', '.join(channels[:n])}",
+        f"inputs: {', '.join(channels[n:]) or 'none'}",
+    ]
+    if path is not None and path.stem != name:
+        lines.append(f"Functions are called {name}_..., because {path.stem!r} is no name in the language.")
+    return [" ".join(line.split()) for line in lines]
+
+
+def state_vector(model):
+    """What the vector x holds, one line per entry: the newest sample, then the delayed ones."""
+    names = model.channels_.z_names
+    units = list(model.state_units_) * (model.delays + 1) + list(model.input_units_) * model.delays
+    return [f"{name} ({unit})" if unit else name for name, unit in zip(names, units)]
+
+
+def input_vector(model):
+    """What the vector u holds, one line per entry."""
+    return [f"{name} ({unit})" if unit else name for name, unit in zip(model.input_names_, model.input_units_)]
+
+
+def to_statespace(model):
+    """A ``lifted_linear`` model as ``z[k+1] = A z[k] + B u[k]``, ``x[k] = C z[k] + D u[k]``.
+
+    The states z are the liftings of scaled channels; u and x are in physical units. The constant function is the first
+    state: its eigenvalue is one, and its column holds the offsets of the channels. So a run starts at
+    ``model.lift(x0)``, never at zero. With delays, x0 is the delayed state (newest sample first), x the newest sample.
+
+    Returns
+    -------
+    control.StateSpace or StateSpace
+        With python-control the former, with the names of the channels; otherwise a named tuple ``(A, B, C, D, dt)``.
+
+    Raises
+    ------
+    ValueError
+        If the model is not fitted, or not ``lifted_linear``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x, u = np.random.default_rng(0).uniform(-1, 1, (2, 5, 20, 1))
+    >>> model = tras.KoopmanModel(tras.Monomials(2), "lifted_linear").fit(tras.Recording(x, u, 0.1))
+    >>> system = to_statespace(model)
+    >>> system.A.shape, system.B.shape, system.C.shape, system.dt
+    ((3, 3), (3, 1), (1, 3), 0.1)
+    """
+    model.require_fitted()
+    if model.predictor != "lifted_linear":
+        raise ValueError(
+            f"predictor is {model.predictor!r}, which is no linear system; fit with predictor='lifted_linear'."
+        )
+    n, m = len(model.state_names_), len(model.input_names_)
+    A, B = model.koopman_matrix.T.copy(), model.B_ / model.u_scale_
+    A[:, 0] -= B @ model.u_offset_  # the first function is the constant
+    C = np.zeros((n, len(A)))
+    C[:, 0] = model.x_offset_
+    C[np.arange(n), model.dictionary_.coordinates[:n]] = model.x_scale_
+    system = StateSpace(A, B, C, np.zeros((n, m)), float(model.dt_))
+    try:
+        import control
+    except ImportError:
+        return system
+    names = identifiers((*model.state_names_, *model.input_names_))
+    return control.ss(*system, inputs=names[n:], outputs=names[:n], states=[f"z{i}" for i in range(len(A))])

@@ -1,0 +1,211 @@
+"""The folder of an identification: report, model, exports, figures and tables, written together or not at all."""
+
+import os
+import shutil
+import tempfile
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+import pandas as pd
+
+from tras.export.c import to_c
+from tras.export.common import identifier, to_statespace
+from tras.export.equations import formulas
+from tras.export.matlab import to_matlab
+from tras.identification import figures as figures_identify
+from tras.identification.examples import example
+from tras.identification.page import write_page
+from tras.plotting import save_figure
+from tras.recording import Recording
+from tras.workflow import page
+from tras.workflow.files import umask
+
+LISTING = "contents.csv"
+_CURVE = 3000  # samples of the recording that the figure shows
+_READABLE = 300  # functions; of more no formulas are written
+
+
+def open_log(path="", *, roles=None, states=None, inputs=None, time="", trial="", dt=None, resample=None):
+    """Read a recording, its roles by name or by a YAML file; without a path take the example of `tras.identification.examples`.
+
+    A .nc file knows its roles: ``states`` and ``inputs`` then choose among them.
+
+    Raises
+    ------
+    ValueError
+        As `Recording.read`.
+    """
+    if not path:
+        return example("duffing")
+    if Path(path).suffix == ".nc":
+        return Recording.read(path, roles or None, dt=dt or None, resample=resample or None).select(states=states or None, inputs=inputs or None)
+    by_name = {"states": states, "inputs": inputs, "time": time, "trial": trial}
+    by_name = {role: columns for role, columns in by_name.items() if columns}
+    if roles and by_name:
+        raise ValueError(f"roles are given by {roles} and by name ({', '.join(by_name)}); give them in one way.")
+    return Recording.read(path, roles or by_name or None, dt=dt or None, resample=resample or None)
+
+
+def write(identification, log, name, folder):
+    """Write the whole folder of an identification, or nothing.
+
+    Parameters
+    ----------
+    identification : tras.identification.identification.Identification
+    log : Recording
+        As read.
+    name : str
+        Of the recording, for titles.
+    folder : str or Path
+        Files of an earlier run in it are replaced, and removed if they are no longer made; other files stay.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row per file: ``file`` and ``what`` it is.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written; it is then as it was, or, at worst, some files are new and others old.
+    """
+    folder = Path(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    stage = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    try:
+        contents = _write_all(identification, log, name, stage)
+        _move(stage, folder)
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+    return contents
+
+
+def _write_all(identification, log, name, stage):
+    """Write everything into an empty folder; the table of what it holds."""
+    (stage / "tables").mkdir()
+    (stage / "figures").mkdir()
+    pictures = _figures(identification, stage / "figures")
+    tables = _tables(identification)
+    for key, (_, table) in tables.items():
+        table.to_csv(stage / "tables" / f"{key}.csv", index=key == "correlation", float_format="%.10g", lineterminator="\n")
+    identification.model.save(stage / "model.npz")
+    exports, failures = _exports(identification, stage)
+    contents = [
+        ("report.html", "this page"), ("identify.ipynb", "the notebook that made it all, executed"), ("model.npz", "the model, for tras.load_model"), *exports,
+        *((f"tables/{key}.csv", what) for key, (what, _) in tables.items()), ("figures/", "every figure as PDF, SVG and PNG, and its numbers as CSV"),
+    ]  # fmt: skip
+    text = stage / "export" / "formulas.txt"
+    equations = text.read_text(encoding="utf-8") if text.exists() else ""
+    html = write_page(identification, log, name, pictures, contents, failures, equations)
+    (stage / "report.html").write_text(html, encoding="utf-8")
+    files = sorted(path.relative_to(stage).as_posix() for path in stage.rglob("*") if path.is_file())
+    pd.DataFrame({"file": [*files, LISTING]}).to_csv(stage / LISTING, index=False, lineterminator="\n")
+    return pd.DataFrame(contents, columns=["file", "what"])
+
+
+def _tables(identification):
+    """Table -> (what it holds, the table)."""
+    checks = identification.checks
+    advice = pd.DataFrame(identification.advice, columns=["weight", "about", "text"])
+    return {
+        "channels": ("ranges, limits, steps and noise of every channel", checks.channels),
+        "correlation": ("correlation between inputs", checks.correlation),
+        "spectra": ("spectra of every channel", checks.spectrum),
+        "search": ("every candidate with its error", identification.search.drop(columns=["model"])),
+        "metrics": ("the test", identification.metrics),
+        "growth": ("error against time ahead", identification.growth),
+        "predictions": ("measured and predicted states over two test windows, with the band", identification.overlay),
+        "eigenvalues": ("of the Koopman matrices", identification.eigenvalues),
+        "advice": ("the warnings of this page", advice),
+    }
+
+
+def _figures(identification, folder):
+    """Draw and save every figure: its name -> its picture for the page."""
+    recording, model = identification.recording, identification.model
+    states = max(figures_identify.MOST // 2, figures_identify.MOST - recording.m)  # leaves room for inputs
+    names = [*recording.state_names[:states], *recording.input_names]
+    units = [*recording.state_units[:states], *recording.input_units]
+    spectra, predictions = identification.checks.spectrum, identification.overlay
+    drawings = {"data": (figures_identify.data_figure, (_curves(recording), names, units))}
+    if len(spectra):
+        drawings["spectra"] = (figures_identify.spectra_figure, (spectra, list(recording.state_names), list(recording.input_names)))
+    drawings |= {
+        "predictions": (figures_identify.prediction_figure, (predictions, list(model.state_names_), list(model.state_units_))),
+        "growth": (figures_identify.growth_figure, (identification.growth,)),
+        "spectrum": (figures_identify.eigenvalue_figure, (identification.eigenvalues,)),
+    }
+    pictures = {}
+    for key, (draw, arguments) in drawings.items():
+        save_figure(draw(*arguments), arguments[0], folder / key)
+        pictures[key] = page.picture(folder, key)
+    return pictures
+
+
+def _curves(recording):
+    """The recording as one table: ``trajectory``, ``time`` from its beginning, channels; about `_CURVE` rows at most."""
+    table = recording.to_frame()
+    starts = np.concatenate([[0.0], np.cumsum(recording.lengths[:-1] * recording.dt)])
+    table["time"] += np.repeat(starts, recording.lengths)
+    return table.iloc[:: max(1, len(table) // _CURVE)].reset_index(drop=True)
+
+
+def _exports(identification, stage):
+    """Write the exports: (file, what it is) of each, and one sentence for each that could not be made."""
+    folder, model = stage / "export", identification.model
+    folder.mkdir()
+    name, exports, failures = identifier("model"), [], []
+
+    def attempt(what, export):
+        try:
+            exports.extend((path.relative_to(stage).as_posix(), what) for path in export())
+        except (ValueError, NotImplementedError) as error:
+            failures.append(f"{what}: {error}")
+
+    def text_and_latex():
+        if len(model.names_) > _READABLE:
+            raise ValueError(f"{len(model.names_)} functions are too many to read; tras.export.formulas(model) writes them all the same.")
+        paths = [folder / "formulas.txt", folder / "formulas.tex"]
+        for path, latex in zip(paths, (False, True)):
+            path.write_text(formulas(model, identification.train, tolerance=0.01, latex=latex) + "\n", encoding="utf-8")
+        return paths
+
+    def state_space():
+        system = to_statespace(model)
+        path = folder / "statespace.npz"
+        np.savez(path, A=system.A, B=system.B, C=system.C, D=system.D, dt=system.dt)
+        return [path]
+
+    attempt("the model for MATLAB and GNU Octave (docs/export.md)", lambda: to_matlab(model, folder / f"{name}.mat"))
+    attempt("the one-step predictor in C99", lambda: to_c(model, folder / f"{name}.c"))
+    if model.predictor == "lifted_linear":
+        attempt("matrices A, B, C, D for python-control: tras.export.to_statespace(model)", state_space)
+    else:
+        attempt("formulas, as text and as LaTeX; terms that change a row by less than 1 % are left out", text_and_latex)
+    return exports, failures
+
+
+def _move(stage, folder):
+    """Move all files of ``stage`` into ``folder``, and remove those that only an earlier run has listed there."""
+    new = {path.relative_to(stage) for path in stage.rglob("*") if path.is_file()}
+    if not folder.exists():
+        stage.chmod(0o777 & ~umask())  # mkdtemp is private; a result is not
+        os.replace(stage, folder)
+        return
+    old = _listed(folder)
+    for path in sorted(new - {Path(LISTING)}):
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        os.replace(stage / path, folder / path)
+    for path in old - new:
+        (folder / path).unlink(missing_ok=True)
+    os.replace(stage / LISTING, folder / LISTING)
+
+
+def _listed(folder):
+    """The files that an earlier run has listed, but none outside the folder."""
+    try:
+        names = pd.read_csv(folder / LISTING)["file"].astype(str)
+    except (OSError, ValueError, KeyError):
+        return set()
+    paths = {PurePosixPath(name) for name in names}
+    return {Path(path) for path in paths if not path.is_absolute() and ".." not in path.parts and str(path) != LISTING}

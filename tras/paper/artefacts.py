@@ -1,0 +1,213 @@
+"""What an artefact holds, for comparison: columns of numbers, or a small grey picture; and what stands for it in `reference/`.
+
+The committed file stands for a figure and its table. Of the rest `reference/` holds a copy as text: a table (.csv) as it
+is, thinned if it is long; a recording (.nc) as a thinned table; a model (.npz) with one number per line, long arrays
+thinned. Pictures are compared in grey at a quarter of the size, of an animation (.gif) some frames, one below the other.
+"""
+
+import collections
+import contextlib
+import csv
+import hashlib
+import json
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+from tras.workflow.files import replacing
+
+# No NumPy at the top: with equal bytes there is nothing to read.
+
+WHOLE = 100_000  # bytes; the copy of a longer table is thinned
+ROWS = 250  # rows, or elements of an array, that a thinned copy keeps
+SMALLER = 4  # pixels to one, each way
+PICTURES = (".png", ".gif")
+DRAWINGS = (".pdf", ".svg")  # compared by their checksum only, and not in git
+COMMITTED = "figures"  # the folder whose files, drawings aside, are in git
+FRAMES = 5  # of an animation, from the first to the last
+
+
+# --- artefacts as columns of numbers ----------------------------------------------------------------------------------
+
+
+def read_columns(path):
+    """The content of a table (.csv), a recording (.nc) or a model (.npz).
+
+    Returns
+    -------
+    dict of str to ndarray
+        Column -> (rows,) whole numbers, floats or text; the arrays of a model are flattened, so lengths differ.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read.
+    """
+    reader = {".csv": _read_csv, ".nc": _read_recording, ".npz": _read_arrays}[path.suffix]
+    try:
+        return reader(path)
+    except Exception as error:  # a damaged file makes its reader raise anything
+        raise ValueError(f"{path} cannot be read ({error})") from error
+
+
+def _read_csv(path):
+    with open(path, encoding="utf-8", newline="") as file:
+        names, *rows = csv.reader(file, strict=True)
+    if not rows or any(len(row) != len(names) for row in rows):
+        raise ValueError(f"its lines do not all have {len(names)} fields" if rows else "it has no rows")
+    return {name: _typed(values) for name, values in zip(names, zip(*rows))}
+
+
+def _read_recording(path):
+    from tras.recording import Recording
+
+    frame = Recording.read(path).to_frame()
+    return {name: frame[name].to_numpy() for name in frame}
+
+
+def _read_arrays(path):
+    """Arrays, their shapes, and the leaves of the JSON header; versions are no part of the result."""
+    import numpy as np
+
+    columns = {}
+    with np.load(path, allow_pickle=False) as file:
+        for name in file.files:
+            array = file[name]
+            if name == "header":
+                header = {key: value for key, value in json.loads(str(array)).items() if key != "versions"}
+                columns |= {f"header.{key}": _typed([text(leaf)]) for key, leaf in _leaves(header)}
+                continue
+            columns[f"{name}.shape"] = np.array([str(array.shape)])
+            parts = {".real": array.real, ".imag": array.imag} if array.dtype.kind == "c" else {"": array}
+            columns |= {name + part: values.ravel() for part, values in parts.items() if array.size}
+    return columns
+
+
+def _leaves(value, name=""):
+    """(dotted name, leaf) of nested dicts and lists."""
+    if not isinstance(value, (dict, list)):
+        yield name, value
+        return
+    for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+        yield from _leaves(item, f"{name}.{key}".lstrip("."))
+
+
+def _typed(values):
+    """Strings as an array of the narrowest of: whole numbers, floats (an empty field is NaN), text."""
+    import numpy as np
+
+    for kind in (int, float):
+        try:
+            return np.array([kind(value or "nan") for value in values], dtype=kind)
+        except (ValueError, OverflowError):
+            pass
+    return np.array(values, dtype=str)
+
+
+def text(value):
+    """A number as the copies hold it: twelve digits."""
+    return f"{value:.12g}" if isinstance(value, float) else str(value)
+
+
+# --- what stands for them in the reference ----------------------------------------------------------------------------
+
+
+def copy_of(artefact, reference):
+    """Where the copy of an artefact lies in the folder ``reference``; None if git has it or only its checksum counts."""
+    if artefact.parts[0] == COMMITTED or artefact.suffix in (*DRAWINGS, *PICTURES):
+        return None
+    return reference / (artefact if artefact.suffix == ".csv" else artefact.with_name(artefact.name + ".csv"))
+
+
+@contextlib.contextmanager
+def committed(artefact, checksum):
+    """A temporary path of the file that the last commit has; `FileNotFoundError` unless it has that SHA-256."""
+    try:
+        command = ["git", "show", f"HEAD:./{artefact.as_posix()}"]
+        content = subprocess.run(command, capture_output=True, check=True).stdout
+    except (OSError, subprocess.CalledProcessError):
+        raise FileNotFoundError(f"git has no {artefact} to compare with: clone the repository, or commit the file") from None
+    if hashlib.sha256(content).hexdigest() != checksum:
+        raise FileNotFoundError(f"git has another {artefact} than the reference names: commit it together with the reference")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / artefact.name
+        path.write_bytes(content)
+        yield path
+
+
+def write_copy(artefact, copy):
+    """Write the copy of an artefact; `ValueError` if the artefact cannot be read."""
+    if artefact.suffix == ".csv" and artefact.stat().st_size <= WHOLE:
+        read_columns(artefact)
+        with replacing(copy) as temporary:
+            shutil.copyfile(artefact, temporary)
+    else:
+        _write_thinned(read_columns(artefact), copy)
+
+
+def _write_thinned(columns, copy):
+    """Write some of the rows: their numbers beside the columns, or one line per number where lengths differ."""
+    import numpy as np
+
+    selection = {name: np.unique(np.linspace(0, len(values) - 1, ROWS).round().astype(int)) for name, values in columns.items()}
+    if len({len(values) for values in columns.values()}) == 1:
+        rows = next(iter(selection.values()))
+        lines = [("#row", *columns), *zip(rows, *([text(v) for v in values[rows].tolist()] for values in columns.values()))]
+    else:
+        lines = [("#array", "#row", "#value")]
+        lines += [(name, row, text(values[row].item())) for name, values in columns.items() for row in selection[name]]
+    with replacing(copy) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(lines)
+
+
+def read_copy(path):
+    """A copy of columns, or a whole table: name -> (row numbers or None for all, values); `ValueError` if it cannot be read."""
+    try:
+        with open(path, encoding="utf-8", newline="") as file:
+            names, *lines = csv.reader(file, strict=True)
+        if names == ["#array", "#row", "#value"]:
+            grouped = collections.defaultdict(list)
+            for name, row, value in lines:
+                grouped[name].append((int(row), value))
+            return {name: ([row for row, _ in pairs], _typed([value for _, value in pairs])) for name, pairs in grouped.items()}
+        columns = _read_csv(path)
+        rows = columns.pop("#row", None)
+        return {name: (rows, values) for name, values in columns.items()}
+    except (OSError, ValueError, csv.Error) as error:
+        raise ValueError(f"{path} cannot be read ({error}): git checkout {path}") from error
+
+
+def picture(path):
+    """A picture in small: float array (height, width) of grey levels, 0 to 255; `ValueError` if it cannot be read."""
+    levels = _levels(path)
+    height, width = (size // SMALLER * SMALLER for size in levels.shape)
+    blocks = levels[:height, :width].reshape(height // SMALLER, SMALLER, width // SMALLER, SMALLER)
+    return (255 * blocks.mean(axis=(1, 3))).round()
+
+
+def _levels(path):
+    """Grey, 0 to 1, of every pixel; transparent is white. Of an animation some frames, one below the other."""
+    import matplotlib.image
+
+    try:
+        levels = _some_frames(path) if path.suffix == ".gif" else matplotlib.image.imread(path).astype(float)
+    except Exception as error:  # a damaged file makes its reader raise anything
+        raise ValueError(f"{path} cannot be read ({error})") from error
+    if levels.ndim == 2:
+        return levels
+    opaque = levels[..., 3] if levels.shape[2] == 4 else 1.0
+    return 1 - opaque * (1 - levels[..., :3].mean(axis=2))
+
+
+def _some_frames(path):
+    """(FRAMES * height, width, 3), 0 to 1."""
+    import numpy as np
+    from PIL import Image
+
+    frames = []
+    with Image.open(path) as film:
+        for number in np.linspace(0, film.n_frames - 1, FRAMES).round().astype(int).tolist():
+            film.seek(number)
+            frames.append(np.asarray(film.convert("RGB")) / 255)
+    return np.concatenate(frames)

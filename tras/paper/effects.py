@@ -1,0 +1,166 @@
+"""Effects of the options in the grid of readings, the readings nearest to the paper, and what nearness means."""
+
+import numpy as np
+import pandas as pd
+
+from tras.paper import readings
+
+# The options that change our numbers
+OPTIONS = ("input", "frequency_unit", "dictionary", "state", "horizon", "nrmse_range", "velocity_term")
+SEEDS = ("train_seed", "draw", "validation_seed")
+
+
+def target(angle_names="words"):
+    """The paper's NRMSE of our (yaw, pitch), in percent, by the reading ``angle_names``."""
+    readings.Readings(angle_names=angle_names)  # raises on an unknown name
+    values = tuple(readings.PAPER_NRMSE.values())
+    return values if angle_names == "words" else values[::-1]  # phi is yaw in the paper's words, pitch in its equations
+
+
+def distance(yaw, pitch, angle_names="words"):
+    """Distance of two NRMSE (percent) from the paper's: root mean square of the two log ratios.
+
+    Errors are positive and their grid spans decades, so 2 % and 8 % are equally far from 4 %. Both angles have the
+    same weight, whatever the unit. A distance of 0.1 means typical deviations of 10 %, log 2 = 0.69 those by a factor
+    of two.
+
+    Examples
+    --------
+    >>> round(distance(2 * 4.0589, 2 * 5.5889), 3), round(distance(5.5889, 4.0589, "symbols"), 3)
+    (0.693, 0.0)
+    """
+    logs = [np.log(np.asarray(value) / paper) for value, paper in zip((yaw, pitch), target(angle_names))]
+    result = np.sqrt(np.mean(np.square(logs), axis=0))
+    return result if np.ndim(result) else float(result)
+
+
+def pairs_of_angles(table):
+    """One row per point, validation seed, horizon and range, with the two angles side by side.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        From `tras.paper.grid.run`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Options and seeds, ``yaw, pitch`` (NRMSE in percent; NaN unless there is a model and nothing diverged),
+        ``windows, diverged``, ``has_model``. A free run is one window and its range is the recording's, so its rows
+        with ``nrmse_range`` "trajectory" repeat the others.
+    """
+    wide = table.set_index([*OPTIONS, *SEEDS, "angle"]).unstack("angle")
+    result = pd.DataFrame({angle: wide["nrmse", angle] for angle in ("yaw", "pitch")})
+    result["windows"], result["diverged"] = wide["windows", "yaw"].astype(int), wide["diverged", "yaw"].astype(int)
+    result["has_model"] = wide["outcome", "yaw"] == "model"
+    result.loc[~result["has_model"] | (result["diverged"] > 0), ["yaw", "pitch"]] = np.nan
+    return result.reset_index()
+
+
+def summary(table):
+    """One row per reading, over all of its seeds.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The seven options; ``yaw, pitch`` (median NRMSE in percent) with ``_lowest`` and ``_highest``; ``runs`` (fits
+        times validation recordings), ``without_model, windows, diverged``; ``complete``: every seed has a model and
+        nothing diverged. The numbers of an incomplete reading are those of its complete runs, or NaN.
+    """
+    groups = pairs_of_angles(table).groupby(list(OPTIONS), sort=False)
+    parts = {}
+    for angle in ("yaw", "pitch"):
+        values = groups[angle]
+        parts |= {angle: values.median(), f"{angle}_lowest": values.min(), f"{angle}_highest": values.max()}
+    parts |= {"runs": groups.size(), "without_model": groups["has_model"].agg(lambda column: int((~column).sum()))}
+    parts |= {name: groups[name].sum() for name in ("windows", "diverged")}
+    result = pd.DataFrame(parts).reset_index()
+    result["complete"] = (result["without_model"] == 0) & (result["diverged"] == 0)
+    return result
+
+
+def nearest(table):
+    """All complete readings, each under both namings of the angles, the nearest to the paper first.
+
+    Returns
+    -------
+    pandas.DataFrame
+        As `summary`, with ``angle_names, distance`` (of the medians) and ``distance_lowest, distance_highest`` over the
+        single runs. Free runs appear once, under the range of the validation set.
+    """
+    complete = summary(table).query("complete and (horizon != 'free_run' or nrmse_range == 'validation_set')")
+    runs = pairs_of_angles(table)
+    parts = []
+    for names in readings.choices("angle_names"):
+        distances = runs.assign(distance=distance(runs["yaw"], runs["pitch"], names)).groupby(list(OPTIONS))["distance"]
+        spread = distances.agg(distance_lowest="min", distance_highest="max")
+        medians = complete.assign(angle_names=names, distance=distance(complete["yaw"], complete["pitch"], names))
+        parts.append(medians.join(spread, on=list(OPTIONS)))
+    return pd.concat(parts).sort_values("distance", kind="stable", ignore_index=True)
+
+
+def departures(ranking, default):
+    """Number of options in which each row of `nearest` differs from the default reading: (rows,) int."""
+    options = [*OPTIONS, "angle_names"]
+    return (ranking[options] != [getattr(default, option) for option in options]).sum(axis=1).to_numpy()
+
+
+def chance(ranking, within, rng, *, among=None, draws=2000):
+    """Share of random pairs of numbers with a reading as near as ``within``: if it is large, nearness means little.
+
+    Parameters
+    ----------
+    ranking : pandas.DataFrame
+        From `nearest`.
+    within : float
+        A distance.
+    rng : numpy.random.Generator
+        Draws the pairs log-uniformly between the 5 % and 95 % quantiles of the readings' yaw and pitch NRMSE.
+    among : (rows,) bool array_like, optional
+        The readings that count; default all.
+    draws : int
+
+    Returns
+    -------
+    float
+    """
+    logs, words = np.log(ranking[["yaw", "pitch"]].to_numpy()), (ranking["angle_names"] == "words").to_numpy()
+    random = rng.uniform(*np.quantile(logs, [0.05, 0.95], axis=0), (draws, 2))
+    among = np.ones(len(ranking), dtype=bool) if among is None else np.asarray(among)
+    near = np.zeros(draws, dtype=bool)
+    for rows, pairs in ((words & among, random), (~words & among, random[:, ::-1])):  # the symbols exchange the angles
+        near |= (np.sqrt(np.mean((pairs[:, None] - logs[rows]) ** 2, axis=2)) <= within).any(axis=1)
+    return float(near.mean())
+
+
+def effects(table, default):
+    """Effect of each choice on the error: ratios of the NRMSE to that of the default choice, all else equal.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        From `tras.paper.grid.run`.
+    default : tras.paper.readings.Readings
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns ``option, choice, angle, pairs`` (of points with both numbers), ``lost`` (the other pairs), ``median``,
+        ``q05, q25, q75, q95`` of the ratio. The median over the draws stands for random centres. ``nrmse_range`` leaves
+        out free runs, for which its choices do not differ.
+    """
+    runs = pairs_of_angles(table)
+    rows = []
+    for option in OPTIONS:
+        points = runs[runs["horizon"] != "free_run"] if option == "nrmse_range" else runs
+        others = [name for name in (*OPTIONS, *SEEDS) if name not in (option, "draw")]
+        for angle in ("yaw", "pitch"):
+            wide = points.groupby([*others, option])[angle].agg(lambda v: v.median(skipna=False)).unstack(option)
+            base = getattr(default, option)
+            for choice in (name for name in readings.choices(option) if name != base and name in wide):
+                ratio = (wide[choice] / wide[base]).dropna()
+                quantiles = ratio.quantile([0.5, 0.05, 0.25, 0.75, 0.95]) if len(ratio) else [np.nan] * 5
+                counts = {"pairs": len(ratio), "lost": len(wide) - len(ratio)}
+                numbers = dict(zip(("median", "q05", "q25", "q75", "q95"), quantiles))
+                rows.append({"option": option, "choice": choice, "angle": angle, **counts, **numbers})
+    return pd.DataFrame(rows)

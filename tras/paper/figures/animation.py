@@ -1,0 +1,177 @@
+"""The rig in motion: the truth, the prediction as a ghost, and both angles below. `tras.twin_rotor.drawing` draws it, as in Fig. 1.
+
+A `film` is a table of both motions; `gif` writes it to a file with the same bytes each time, `movie` returns the
+animation for a notebook.
+"""
+
+import io
+from pathlib import Path
+
+import numpy as np
+from matplotlib.animation import FuncAnimation
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from tras.plotting import MODEL, TRUTH, require, styled
+from tras.twin_rotor.drawing import MASSES, STATIC, draw_rig, rig_geometry
+from tras.workflow.files import replacing
+
+COLUMNS = ["time", "phi_true", "psi_true", "phi_koopman", "psi_koopman"]
+GHOST = "#56B4E9"
+SIZE = (4.4, 4.2)  # inches
+DPI = 100
+COLOURS = 40  # of the GIF's one palette
+
+
+def film(overlay, *, rate=10.0):
+    """The frames of an animation, from a table of samples.
+
+    Parameters
+    ----------
+    overlay : pandas.DataFrame
+        `COLUMNS`: ``time`` in s, angles in rad, for example from `tras.paper.validation.overlay`.
+    rate : float
+        Frames per second; the film runs in real time.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The same columns at the samples nearest to the frames' times. A prediction that diverged stays NaN from then on.
+
+    Raises
+    ------
+    ValueError
+        If a column is missing, the truth is not finite, or ``rate`` is not positive.
+    """
+    require(overlay, "overlay", COLUMNS)
+    if not (np.isfinite(rate) and rate > 0):
+        raise ValueError(f"rate is {rate!r}; give frames per second, for example 10.")
+    if not np.isfinite(overlay[COLUMNS[:3]].to_numpy()).all():
+        raise ValueError("overlay holds NaN or infinity in the truth or the time; leave those samples out.")
+    time = overlay["time"].to_numpy()
+    frames = np.arange(time[0], time[-1] + 0.5 / rate, 1 / rate)
+    nearest = np.unique(np.abs(time[:, None] - frames).argmin(axis=0))
+    return overlay[COLUMNS].iloc[nearest].reset_index(drop=True)
+
+
+class Scene:
+    """The moving picture: it draws the static parts once; `show` draws one instant.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        From `film`.
+    label : str
+        Name of the ghost in the legend.
+    """
+
+    @styled()
+    def __init__(self, table, label="Koopman model"):
+        require(table, "table", COLUMNS)
+        self.table, self._moving = table, []
+        self.figure = Figure(figsize=SIZE, dpi=DPI)
+        FigureCanvasAgg(self.figure)
+        self.rig = self.figure.add_axes((0.0, 0.35, 1.0, 0.64))
+        self.rig.set_axis_off()
+        self.rig.set(xlim=(-0.42, 0.42), ylim=(-0.41, 0.32), aspect="equal")
+        self.rig.set_autoscale_on(False)
+        draw_rig(self.rig, rig_geometry(0.0, 0.0), parts=STATIC, zorder=1)
+        self.angles = [self.figure.add_axes((0.095, low, 0.885, 0.1)) for low in (0.245, 0.085)]
+        for panel, angle, name in zip(self.angles, ("psi", "phi"), (r"yaw $\psi$ (rad)", r"pitch $\phi$ (rad)")):
+            _angle_panel(panel, table, angle, name)
+        self.angles[0].tick_params(labelbottom=False)
+        self.angles[1].set_xlabel("time (s)", labelpad=1)
+        handles = [self.angles[0].plot([], [], **TRUTH)[0], self.angles[0].plot([], [], **MODEL)[0]]
+        self.figure.legend(handles, ["truth", label], loc="upper left", bbox_to_anchor=(0.01, 0.99))
+
+    @styled()
+    def show(self, frame):
+        """Draw one instant by its number in the table; returns the artists that moved."""
+        for artist in self._moving:
+            artist.remove()
+        row = self.table.iloc[frame]
+        self._moving = []
+        if np.isfinite([row["phi_koopman"], row["psi_koopman"]]).all():
+            ghost = rig_geometry(float(row["phi_koopman"]), float(row["psi_koopman"]))
+            look = {"alpha": 0.35, "colours": dict.fromkeys(ghost["part"].unique(), GHOST), "edgecolor": MODEL["color"]}
+            self._moving += draw_rig(self.rig, ghost, parts=_moving_parts(ghost), zorder=3, **look)
+        truth = rig_geometry(float(row["phi_true"]), float(row["psi_true"]))
+        self._moving += draw_rig(self.rig, truth, parts=_moving_parts(truth), zorder=2)
+        for panel, angle in zip(self.angles, ("psi", "phi")):
+            self._moving.append(panel.axvline(row["time"], color="0.5", linewidth=0.8, linestyle="-"))
+            self._moving += panel.plot(row["time"], row[f"{angle}_true"], marker="o", color="black", zorder=5)
+        return self._moving
+
+    def pixels(self, frame):
+        """One instant as (height, width, 3) bytes of red, green and blue."""
+        self.show(frame)
+        with styled():
+            self.figure.canvas.draw()
+        return np.asarray(self.figure.canvas.buffer_rgba())[..., :3].copy()
+
+
+def gif(table, path, *, label="Koopman model", rate=10.0, progress=None):
+    """Write a `film` as an animated GIF in a loop; the same film gives the same bytes on the same machine.
+
+    All frames share one palette, so the static parts do not flicker and take no space.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        From `film`.
+    path : str or Path
+        Ends in ``.gif``.
+    label : str
+        Name of the ghost in the legend.
+    rate : float
+        Frames per second, as for `film`; GIF counts hundredths of a second, so 10, 12.5, 20 and 25 are exact.
+    progress : text stream, optional
+        Takes a progress bar, for example ``sys.stderr``.
+
+    Returns
+    -------
+    pathlib.Path
+    """
+    from PIL import Image
+    from tqdm import tqdm
+
+    scene = Scene(table, label)
+    numbers = tqdm(range(len(table)), desc="frames", file=progress, disable=progress is None)
+    frames = [Image.fromarray(scene.pixels(k)) for k in numbers]
+    sample = frames[:: max(1, len(frames) // 6)]
+    sheet = Image.new("RGB", (frames[0].width, frames[0].height * len(sample)))
+    for k, frame in enumerate(sample):
+        sheet.paste(frame, (0, k * frame.height))
+    palette = sheet.quantize(COLOURS, method=Image.Quantize.MEDIANCUT)
+    colours = np.array(palette.getpalette()).reshape(-1, 3)
+    colours[colours.min(axis=1) >= 250] = 255  # pure white, not the mean of nearly white colours
+    palette.putpalette(colours.ravel().tolist())
+    flat = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    with replacing(Path(path)) as temporary:
+        target = io.BytesIO()
+        options = {"duration": round(1000 / rate), "loop": 0, "optimize": False}
+        flat[0].save(target, format="GIF", save_all=True, append_images=flat[1:], **options)
+        temporary.write_bytes(target.getvalue())
+    return Path(path)
+
+
+def movie(table, *, label="Koopman model", rate=10.0):
+    """A `film` as a `matplotlib.animation.FuncAnimation`, for ``IPython.display.HTML(movie(...).to_jshtml())``."""
+    scene = Scene(table, label)
+    return FuncAnimation(scene.figure, scene.show, frames=len(table), interval=1000 / rate, blit=False, repeat=True)
+
+
+def _angle_panel(panel, table, angle, name):
+    true, predicted = table[f"{angle}_true"], table[f"{angle}_koopman"]
+    panel.plot(table["time"], predicted, **MODEL)
+    panel.plot(table["time"], true, **TRUTH, zorder=3)
+    margin = max(np.ptp(true), 0.3)  # a prediction that diverges must not squeeze the truth to a line
+    low, high = panel.get_ylim()
+    panel.set_xlim(table["time"].iloc[0], table["time"].iloc[-1])
+    panel.set_ylim(max(low, true.min() - margin), min(high, true.max() + margin))
+    panel.set_ylabel(name, rotation=0, ha="left", va="bottom", labelpad=0)
+    panel.yaxis.set_label_coords(0.0, 1.01)
+
+
+def _moving_parts(geometry):
+    return set(geometry["part"]) - set(STATIC) - set(MASSES)

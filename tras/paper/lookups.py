@@ -1,0 +1,205 @@
+"""Numbers for a text, looked up in the tables: Jinja expressions between ``{{`` and ``}}``, with blanks inside.
+
+``value(FILE, WHAT, COLUMN=VALUE, ...)`` looks into ``data/NAME.csv`` or ``figures/NAME.csv``. ``WHAT`` is a column, of
+which the choices must leave one row, or the min, max, median, mean, sum, count or largest (in size) of one, like
+``median(nrmse)``. ``parameter(STAGE, NAME)`` is a parameter that this stage ran with, ``claims.NAME`` a limit of
+`tras.paper.claims`; ``| number(FORMAT)`` formats any of them as Python does.
+"""
+
+import functools
+import json
+import math
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import jinja2
+from jinja2.sandbox import SandboxedEnvironment
+
+from tras.paper import claims
+
+_LIMITS = {name: limit for name, limit in vars(claims).items() if name.isupper()}
+
+
+class Lacking(ValueError):
+    """Something that a section needs is not there; the sentence says what, and which command makes it."""
+
+
+class Sources(NamedTuple):
+    """Where the page's numbers and figures come from."""
+
+    data: Path
+    figures: Path
+    build: Path
+
+    @property
+    def command(self):
+        """The command that makes everything of this profile, whose name is that of the folder ``build``."""
+        return "`make all`" if self.build.name == "paper" else f"`make all PROFILE={self.build.name}`"
+
+    def path(self, name):
+        """``data/x.csv`` or ``figures/x.csv`` as a file that exists."""
+        folder, _, rest = name.partition("/")
+        path = {"data": self.data, "figures": self.figures, "build": self.build}[folder] / rest
+        if not path.is_file():
+            raise Lacking(f"{name} is not there: {self.command} makes it.")
+        return path
+
+
+def render(text, sources):
+    """``text`` with every lookup replaced by its number, which no Markdown in a table can break out of.
+
+    Parameters
+    ----------
+    text : str
+        For example ``{{ value("data/metrics.csv", "max(nrmse)", angle="yaw", kind="window") | number(".3g") }} %``.
+    sources : Sources
+
+    Raises
+    ------
+    Lacking
+        If the file, the column, the row or the parameter is not there.
+    ValueError
+        If a lookup is not understood, or the file is damaged.
+    """
+
+    def value(name, what, **where):
+        return _total(_selected(frame(name, sources), where, name), what, name)
+
+    def parameter(stage, name):
+        parameters = record(sources.path(f"build/{stage}.json")).get("parameters", {})
+        if name not in parameters:
+            raise Lacking(f"{stage} has no parameter `{name}`.")
+        return parameters[name]
+
+    try:
+        return _ENVIRONMENT.from_string(text).render(value=value, parameter=parameter, claims=_LIMITS)
+    except (jinja2.TemplateError, TypeError) as error:
+        usage = "{{ value(FILE, WHAT, COLUMN=VALUE) | number(FORMAT) }}"
+        raise ValueError(f"a lookup is not understood ({error}): write {usage}.") from None
+
+
+def number(value, spec="g"):
+    """A value of a table as text: formatted when it is a number, ``–`` when there is none.
+
+    Examples
+    --------
+    >>> number(5.9, "#.3g"), number(float("nan")), number("yaw"), number(9.0, "d")
+    ('5.90', '–', 'yaw', '9')
+    """
+    if isinstance(value, str):
+        return value
+    if value is None or math.isnan(value):
+        return "–"
+    return format(int(value), "d") if spec == "d" else format(value, spec).rstrip(".")
+
+
+# LaTeX writes `{{` too, but no blank behind it; a text holds neither statements nor comments.
+_ENVIRONMENT = SandboxedEnvironment(
+    variable_start_string="{{ ",
+    variable_end_string=" }}",
+    undefined=jinja2.StrictUndefined,
+    finalize=lambda value: re.sub(r"([\\`*_{}\[\]<>#$|~])", r"\\\1", number(value)),
+    keep_trailing_newline=True,
+)
+_ENVIRONMENT.filters["number"] = number
+
+
+def record(path):
+    """What `tras.workflow.runner` wrote beside an executed notebook, as a dictionary."""
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except (ValueError, TypeError):
+        raise ValueError(f"{path} is no record of a run: delete it, and make all runs the stage anew.") from None
+
+
+def frame(name, sources):
+    """A table of the sources as a pandas.DataFrame; the same object for the same file."""
+    path = sources.path(name)
+    return _read(path, path.stat().st_mtime_ns)
+
+
+def table(spec, sources):
+    """A table of a table: some of its columns and rows, or a summary.
+
+    Parameters
+    ----------
+    spec : dict
+        ``file``; ``where`` (column: value) chooses rows. Then either ``columns`` (column: heading), the first ``keys``
+        of which name the row, and ``first`` many rows; or ``rows`` (column: heading) for the groups, and ``across`` (a
+        column) with ``value`` or ``values`` (heading: value) for the numbers, a value being like ``median(nrmse)``.
+        ``format`` is one for all or, with ``columns``, column: format.
+    sources : Sources
+
+    Returns
+    -------
+    head : list of str
+    rows : list of list of str
+    keys : int
+        How many columns name the row.
+    """
+    name, formats = spec["file"], spec.get("format", "g")
+    rows = _selected(frame(name, sources), spec.get("where", {}), name)
+    if "rows" in spec:
+        across, groups = _summary(rows, spec, name)
+        head = [*spec["rows"].values(), *(spec.get("heading", "{}").format(number(value)) for value in across)]
+        return head, [[*map(number, key), *(number(value, formats) for value in values)] for key, values in groups], len(spec["rows"])
+    rows = rows.head(spec.get("first", len(rows)))
+    formats = [formats.get(column, "g") if isinstance(formats, dict) else formats for column in spec["columns"]]
+    cells = zip(*(_column(rows, column, name) for column in spec["columns"]))
+    return list(spec["columns"].values()), [[*map(number, row, formats)] for row in cells], spec.get("keys", 1)
+
+
+# --- parts ------------------------------------------------------------------------------------------------------------
+
+
+def _summary(rows, spec, name):
+    """What stands across, and for each group of rows its key and the numbers below that."""
+    for column in (*spec["rows"], *([spec["across"]] if "across" in spec else [])):
+        _column(rows, column, name)
+    groups = list(rows.groupby(list(spec["rows"]), sort=False))
+    if "across" not in spec:
+        return list(spec["values"]), [(key, [_total(part, what, name) for what in spec["values"].values()]) for key, part in groups]
+    across = list(dict.fromkeys(rows[spec["across"]]))
+    cells = [(key, [part[part[spec["across"]] == value] for value in across]) for key, part in groups]
+    return across, [(key, [_total(cell, spec["value"], name) if len(cell) else None for cell in row]) for key, row in cells]
+
+
+@functools.lru_cache(maxsize=64)
+def _read(path, _changed):
+    import pandas as pd
+
+    try:
+        return pd.read_csv(path)
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is no table ({error}): delete it, and make all makes it anew.") from None
+
+
+def _selected(rows, where, name):
+    """The rows that hold these values; numbers compare as numbers, and ``>0.5`` as a value means larger ones."""
+    for column, value in where.items():
+        cells = _column(rows, column, name)
+        if str(value).startswith(">"):
+            rows = rows[cells > float(value[1:])]
+        else:
+            rows = rows[cells == float(value) if cells.dtype.kind in "if" else cells.astype(str) == str(value)]
+    return rows
+
+
+def _column(rows, column, name):
+    if column not in rows:
+        raise Lacking(f"{name} has no column `{column}`.")
+    return rows[column]
+
+
+def _total(rows, what, name):
+    """A column's only value, or ``median(column)`` and the like."""
+    total, column = re.fullmatch(r"(?:(\w+)\()?([^()]+)\)?", what).groups()
+    values = _column(rows, column, name)
+    if total == "count":
+        return int(values.count())
+    if not len(values) or not total and len(values) > 1:
+        raise Lacking(f"{name} has {len(values)} rows for one number, `{what}`: was it made with other parameters?")
+    if total == "largest":
+        return values.abs().max()
+    return values.agg(total) if total else values.iloc[0]

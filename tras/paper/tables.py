@@ -1,0 +1,177 @@
+"""The tables of the README: the paper's numbers beside ours, and the methods that were compared; none of them is typed.
+
+`tras.paper.pages` prints them and writes them into the pages.
+"""
+
+import csv
+import itertools
+import math
+import statistics
+
+from tras.workflow.files import markdown_table
+
+# No pandas at the top: printing one table is all that `make all` does when nothing has changed.
+
+COLUMNS = {  # (input, model) -> heading
+    ("paper", "paper"): "paper",
+    ("reference", "gaussian"): "input = reference, paper's dictionary",
+    ("reference", "linear"): "reference, linear",
+    ("torque", "gaussian"): "input = torque, paper's dictionary",
+    ("torque", "linear"): "torque, linear",
+    ("torque", "mechanical"): "torque, mechanical",
+}
+_MISSING = "not given"
+_BOUND = "grey box"  # knows the equations: it stands in a sentence below the table of methods
+_METHOD_COLUMNS = (("reference", "window"), ("torque", "window"), ("torque", "free run"))
+_METRICS = {"nrmse": "NRMSE (%)", "enr": "Enr", "bfr": "BFR (%)", "condition": "condition number of the liftings"}
+
+
+def comparison(metrics, identification):
+    """The numbers of the table: metrics of both angles over the independent multisines, and the conditioning.
+
+    Parameters
+    ----------
+    metrics : pandas.DataFrame
+        As `tras.paper.validation.score` gives it, with the columns ``kind`` ("window" or "free run"), ``input, model``
+        beside.
+    identification : pandas.DataFrame
+        Columns ``input, model, condition``.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns ``kind, horizon, metric, angle, input, model, median, lowest, highest`` (over the recordings),
+        ``windows, diverged``. The paper's own numbers have the input ``paper``; the condition number of the liftings
+        the kind ``fit``.
+    """
+    import pandas as pd
+
+    from tras.paper.readings import PAPER_NRMSE
+
+    multisines = metrics[metrics["recording"].str.startswith("multisine")].set_index(["kind", "input", "model", "angle"]).sort_index()
+    condition = identification.set_index(["input", "model"])["condition"]
+    sources = [source for source in COLUMNS if source[0] != "paper"]
+    rows = []
+    for kind, name in [("window", "nrmse"), ("window", "enr"), ("window", "bfr"), ("free run", "nrmse")]:
+        for angle in ("yaw", "pitch"):
+            for source in sources:
+                group = multisines.loc[[(kind, *source, angle)]]
+                v, horizon = group[name], group["horizon"].iloc[0]
+                rows.append((kind, horizon, name, angle, *source, v.median(), v.min(), v.max(), group["windows"].sum(), group["diverged"].sum()))
+            if kind == "window" and name == "nrmse":
+                value = PAPER_NRMSE[angle]
+                rows.append((kind, horizon, name, angle, "paper", "paper", value, value, value, 0, 0))
+    for source in sources:
+        value = condition[source]
+        rows.append(("fit", 0, "condition", "", *source, value, value, value, 0, 0))
+    columns = ["kind", "horizon", "metric", "angle", "input", "model", "median", "lowest", "highest", "windows", "diverged"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def read(path):
+    """Rows of a CSV file as dictionaries of text."""
+    with open(path, newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def markdown(rows):
+    """The table paper against ours: a row per metric and angle, a column per source; ``median (lowest to highest)``."""
+    return markdown_table(_cells(rows))
+
+
+def text(rows):
+    """The same for a terminal."""
+    cells = _cells(rows)
+    widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
+    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in cells)
+
+
+def _cells(rows):
+    """Rows of strings, the heading first."""
+    rows = [row | {name: float(row[name] or "nan") for name in ("horizon", "median", "lowest", "highest")} for row in rows]
+    cells = [["", *COLUMNS.values()]]
+    kinds = {"window": "s windows", "free run": "s free run"}
+    for (kind, metric, angle), group in itertools.groupby(rows, key=lambda row: (row["kind"], row["metric"], row["angle"])):
+        by_source = {(row["input"], row["model"]): row for row in group}
+        horizon = next(iter(by_source.values()))["horizon"]
+        label = f"{_METRICS[metric]}, {angle}, {horizon:g} {kinds[kind]}" if kind in kinds else _METRICS[metric]
+        cells.append([label, *(_number(by_source.get(source)) for source in COLUMNS)])
+    for kind in kinds:
+        alike = [row for row in rows if row["kind"] == kind]
+        counts = {(row["input"], row["model"]): f"{row['diverged']} of {row['windows']}" for row in alike if row["input"] != "paper"}
+        cells.append([f"diverged, {alike[0]['horizon']:g} {kinds[kind]}", *(counts.get(source, _MISSING) for source in COLUMNS)])
+    return cells
+
+
+def _number(row):
+    if row is None:
+        return _MISSING
+    if math.isnan(row["median"]):
+        return "all diverged"
+    if row["metric"] == "condition":
+        return f"{row['median']:.1e}"
+    if row["lowest"] == row["highest"]:
+        return f"{row['median']:.5g}"
+    digits = max(1, 2 - math.floor(math.log10(row["highest"])))  # three significant ones in the largest
+    return "{median:.{digits}f} ({lowest:.{digits}f} to {highest:.{digits}f})".format(**row, digits=digits)
+
+
+# --- methods beside ours ----------------------------------------------------------------------------------------------
+
+
+def methods(rows):
+    """Errors of each method over the multisines of ``comparison.csv``.
+
+    Parameters
+    ----------
+    rows : sequence of dict
+
+    Returns
+    -------
+    entries : dict
+        Method -> {"parameters": {input: count}, (input, kind, angle): [errors, diverged, windows]}.
+    horizons : list of float
+    """
+    rows = [row for row in rows if row["recording"].startswith("multisine")]
+    if not rows:
+        raise ValueError("the comparison holds no multisine recording; make it again with make all.")
+    horizons = sorted({float(row["horizon"]) for row in rows})
+    if len(horizons) < 2:
+        raise ValueError(f"the comparison holds the horizons {horizons}; at least a window and a free run are needed.")
+    kinds = {horizons[-2]: "window", horizons[-1]: "free run"}
+    entries = {}
+    for row in rows:
+        entry = entries.setdefault(row["method"], {"parameters": {}})
+        entry["parameters"][row["input"]] = row["parameters"]
+        if float(row["horizon"]) in kinds:
+            values = entry.setdefault((row["input"], kinds[float(row["horizon"])], row["angle"]), [[], 0, 0])
+            values[0].append(float(row["nrmse"] or "nan"))
+            values[1] += int(row["diverged"])
+            values[2] += int(row["windows"])
+    return entries, horizons
+
+
+def methods_markdown(rows):
+    """The table of methods, and a sentence on the grey box."""
+    entries, horizons = methods(rows)
+    bound = entries.pop(_BOUND, None)
+    window, free = (f"{h:g} s" for h in horizons[-2:])
+    lines = [["method", "parameters", *(f"{name}, {window if kind == 'window' else free}: yaw / pitch" for name, kind in _METHOD_COLUMNS)]]
+    for method, entry in entries.items():
+        counts = dict.fromkeys(str(int(float(count))) for count in entry["parameters"].values() if count not in ("", None))
+        lines.append([method, "; ".join(counts), *(_yaw_pitch(entry, *column) for column in _METHOD_COLUMNS)])
+    if bound is None:
+        return markdown_table(lines)
+    errors = f"{_yaw_pitch(bound, 'torque', 'window')} % over {window}"
+    sentence = f"The {_BOUND}, the plant's own equations with eight parameters from the same data, has {errors}: the bound."
+    return f"{markdown_table(lines)}\n\n{sentence}"
+
+
+def _yaw_pitch(entry, *column):
+    cells, divergence = [], ""
+    for angle in ("yaw", "pitch"):
+        errors, diverged, windows = entry.get((*column, angle), ([], 0, 0))
+        errors = [error for error in errors if not math.isnan(error)]
+        cells.append(f"{statistics.median(errors):.3g}" if errors else "-")
+        divergence = f" ({diverged} of {windows} diverged)" if diverged else ""
+    return " / ".join(cells) + divergence if entry.get((*column, "yaw")) else "-"

@@ -1,0 +1,314 @@
+"""The simulated experiment: PID in the loop, torques held over each sample (paper, "Data collection").
+
+The loop is written once: it runs on floats for a single run and on arrays for many runs at once. The paper gives no
+gains. Ours place the poles of the double integrator ``J qddot = u`` at 4 rad/s with damping 0.9: documented, fast
+against the excitation (0.2 and 0.8 rad/s), slow against the sampling time of 0.01 s.
+"""
+
+import math
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+
+from tras.recording import Recording
+from tras.twin_rotor.plant import (
+    LUMPED,
+    STATE_NAMES,
+    STATE_UNITS,
+    TORQUE_NAMES,
+    TORQUE_UNITS,
+    PlantParameters,
+    stepper,
+    torque_limits,
+)
+from tras.workflow.provenance import versions
+
+REFERENCE_NAMES = ("phi_ref", "psi_ref")
+REFERENCE_UNITS = ("rad", "rad")
+BATCH = 40  # runs from which arrays are faster than floats
+INPUTS = {"reference": REFERENCE_NAMES, "torque": TORQUE_NAMES}  # what a model may take for its inputs
+
+
+@dataclass(frozen=True)
+class PID:
+    """Gains of one axis: ``u = P e + I integral(e) - D qdot`` with ``e = reference - q``, limited to ``limits``.
+
+    The derivative acts on the measurement, so a step of the reference gives no kick. The integral stops while the
+    torque is at a limit and the error drives it further out (anti-windup by conditional integration; K. J. Astrom and
+    T. Hagglund, *Advanced PID Control*, Sec. 3.5).
+
+    Parameters
+    ----------
+    P, I, D : float
+        N m/rad, N m/(rad s), N m s/rad.
+    limits : (float, float)
+        Lowest and highest torque in N m.
+
+    Raises
+    ------
+    ValueError
+        If a gain is not a finite number or the limits are not two finite torques in order.
+    """
+
+    P: float
+    I: float  # noqa: E741 the field's own name
+    D: float
+    limits: tuple[float, float]
+
+    def __post_init__(self):
+        for name in "PID":
+            gain = getattr(self, name)
+            if isinstance(gain, bool) or not isinstance(gain, (int, float, np.number)) or not math.isfinite(gain):
+                raise ValueError(f"{name} is {gain!r}; give a finite gain.")
+        object.__setattr__(self, "limits", torque_limits("limits", self.limits))
+
+    @classmethod
+    def pole_placement(cls, inertia, limits, *, frequency=4.0, damping=0.9, integral_rate=1.0):
+        """``P = J w^2``, ``D = 2 zeta w J``, ``I = P * integral_rate`` for an axis of the given inertia (kg m^2).
+
+        ``frequency`` in rad/s, ``integral_rate`` in 1/s.
+        """
+        P = inertia * frequency**2
+        return cls(P=P, I=P * integral_rate, D=2 * damping * frequency * inertia, limits=limits)
+
+    @classmethod
+    def defaults(cls, parameters):
+        """The project's pair (pitch, yaw). Yaw's inertia is the one at level beam, ``J + J_psi0``."""
+        return (
+            cls.pole_placement(parameters.J_phi, parameters.u_phi_limits, integral_rate=1.0),
+            cls.pole_placement(parameters.J + parameters.J_psi0, parameters.u_psi_limits, integral_rate=0.5),
+        )
+
+
+def simulate_closed_loop(reference, dt, parameters=None, *, controllers=None, x0=None, step=0.01, attributes=None):
+    """Follow references with the PID and record everything.
+
+    At each sample the controller reads state and reference, and its torque is held until the next. By default the rig
+    starts at rest ON the first reference with the integrators balanced (a bumpless start: the operator settles the rig,
+    then starts the recorder).
+
+    Parameters
+    ----------
+    reference : (samples, 2) array_like
+        Pitch and yaw reference in rad.
+    dt : float
+        Sampling time in s.
+    parameters : PlantParameters, optional
+    controllers : (PID, PID), optional
+        Pitch and yaw; default `PID.defaults`.
+    x0 : (4,) array_like, optional
+        Initial state; then the integrators start empty.
+    step : float
+        Longest integration step in s.
+    attributes : dict, optional
+        Goes into the recording beside the plant's parameters, the gains and limits (seed, kind of excitation, ...).
+
+    Returns
+    -------
+    Recording
+        One trajectory of ``samples`` samples: states phi, phidot, psi, psidot; inputs phi_ref, psi_ref (rad) and
+        u_phi, u_psi (N m). Sample ``k`` of the torques acts from sample ``k`` to ``k + 1``.
+
+    Raises
+    ------
+    ValueError
+        On wrong shapes or values.
+    """
+    reference = _references("reference", reference, "(samples, 2)", dimensions=(2,))
+    if x0 is not None:
+        x0 = np.asarray(x0, dtype=float)
+        if x0.shape != (4,) or not np.isfinite(x0).all():
+            raise ValueError(f"x0 is {x0.tolist()}; give four finite numbers phi, phidot, psi, psidot.")
+    rigs = [parameters or PlantParameters()]
+    return _simulated(reference[None], dt, rigs, controllers, x0, step, attributes)
+
+
+def simulate_closed_loops(references, dt, parameters=None, *, controllers=None, x0=None, step=0.01, attributes=None):
+    """Simulate many runs for a Monte Carlo study: other references, initial states or rigs.
+
+    Each run is that of `simulate_closed_loop` to the accuracy of the integration (1e-9 over 6 s). Forty runs or more
+    take each step together, as long as the fastest rig allows: about ten times as fast for a thousand runs
+    (`benchmarks/closed_loops.py`). Fewer runs are faster one after the other, and are simulated so.
+
+    Parameters
+    ----------
+    references : (runs, samples, 2) or (samples, 2) array_like
+        Pitch and yaw reference in rad; a single one serves every run.
+    parameters : PlantParameters or sequence of them, optional
+        One rig for all, or one per run.
+    controllers : (PID, PID), optional
+        Pitch and yaw, for every run; default `PID.defaults` of the one rig, or of the rigs' mean parameters if there
+        are several: the loop was tuned before anyone knew which rig it would be.
+    x0 : (4,) or (runs, 4) array_like, optional
+        Initial states, one for all or one per run.
+    dt, step, attributes
+        As for `simulate_closed_loop`.
+
+    Returns
+    -------
+    Recording
+        One trajectory per run, with the channels of `simulate_closed_loop`. The attributes hold parameters that differ
+        between rigs as lists over the runs.
+
+    Raises
+    ------
+    ValueError
+        On wrong shapes or values, or numbers of runs that do not fit.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> rigs = [PlantParameters(K_psi=k) for k in rng.uniform(0.002, 0.004, 30)]
+    >>> simulate_closed_loops(np.tile([0.3, 1.0], (101, 1)), 0.01, rigs).states.shape
+    (30, 101, 4)
+    """
+    references = _references("references", references, "(runs, samples, 2)", dimensions=(2, 3))
+    single = parameters is None or isinstance(parameters, PlantParameters)
+    rigs = [parameters or PlantParameters()] if single else list(parameters)
+    x0 = None if x0 is None else np.asarray(x0, dtype=float)
+    references = np.broadcast_to(references, (_runs(references, rigs, x0), *references.shape[-2:]))
+    return _simulated(references, dt, rigs, controllers, x0, step, attributes)
+
+
+def saturated(recording, parameters):
+    """Share of samples with a torque at its limit, (pitch, yaw), as fractions.
+
+    The limits are those of the controllers, which `simulate_closed_loop` records, else those of ``parameters``.
+    """
+    torques = np.concatenate(recording.select(inputs=TORQUE_NAMES).inputs)
+    defaults = {f"pid_{axis}_limits": getattr(parameters, f"u_{axis}_limits") for axis in ("phi", "psi")}
+    limits = [recording.attributes.get(name, default) for name, default in defaults.items()]
+    low, high = np.array(limits, dtype=float).T
+    return ((torques <= low) | (torques >= high)).mean(axis=0)
+
+
+def _simulated(references, dt, rigs, controllers, x0, step, attributes):
+    """A `Recording` of the runs (runs, samples, 2) with everything that made it in its attributes."""
+    controllers = controllers or PID.defaults(_mean(rigs))
+    runs = len(references)
+    if runs >= BATCH:
+        states, torques = _loop(references, dt, _stacked(rigs), controllers, x0, step)
+    else:
+        starts = [None] * runs if x0 is None else np.broadcast_to(x0, (runs, 4))
+        each = zip(references, rigs * (runs // len(rigs)), starts)
+        trajectories = [_loop(reference, dt, rig, controllers, start, step) for reference, rig, start in each]
+        states, torques = map(np.stack, zip(*trajectories))
+    pid = dict(zip(("phi", "psi"), controllers))
+    return Recording(
+        list(states),
+        list(np.concatenate([references, torques], axis=2)),
+        dt,
+        state_names=STATE_NAMES,
+        input_names=REFERENCE_NAMES + TORQUE_NAMES,
+        state_units=STATE_UNITS,
+        input_units=REFERENCE_UNITS + TORQUE_UNITS,
+        attributes={
+            **{f"plant_{name}": _one_or_all([rig.as_dict()[name] for rig in rigs]) for name in rigs[0].as_dict()},
+            **{f"pid_{axis}_{gain}": getattr(pid[axis], gain) for axis in pid for gain in "PID"},
+            **{f"pid_{axis}_limits": list(pid[axis].limits) for axis in pid},
+            **{f"version_{name}": version for name, version in versions().items()},
+            "integration_step": step,
+            **(attributes or {}),
+        },
+    )
+
+
+def _loop(reference, dt, plant, controllers, x0, step):
+    """States (..., samples, 4) and torques (..., samples, 2) under a reference (..., samples, 2).
+
+    A single run takes plain floats, many runs take arrays and make each step together: the recursion over the samples
+    cannot be vectorised. ``plant`` is a rig, or several as `_stacked` gives them.
+    """
+    batch = reference.shape[:-2]
+    functions, clip = (np, np.clip) if batch else (math, _clip)
+    start = np.zeros((*batch, 4))
+    start[..., ::2] = reference[..., 0, :]
+    x = np.ascontiguousarray(np.moveaxis(start if x0 is None else np.broadcast_to(x0, start.shape), -1, 0))
+    reference = np.ascontiguousarray(np.moveaxis(reference, (-2, -1), (0, 1)))
+    if not batch:
+        x, reference = x.tolist(), reference.tolist()
+    integrals = [0.0, 0.0]
+    if x0 is None:
+        gravity = plant.G_c * functions.cos(x[0]) + plant.G_s * functions.sin(x[0])
+        balance = (gravity, plant.K_psi * x[2])
+        integrals = [clip(torque, *pid.limits) if pid.I else 0.0 for pid, torque in zip(controllers, balance)]
+    integral_phi, integral_psi = integrals
+    advance = stepper(plant, dt, step=step, functions=functions)
+    pitch, yaw = (_control_law(pid, dt, clip) for pid in controllers)
+    states, torques = [], []
+    with np.errstate(over="ignore", invalid="ignore"):  # `advance` raises
+        for r_phi, r_psi in reference:
+            if torques:
+                x = advance(x, torques[-1])
+            phi, phidot, psi, psidot = x
+            u_phi, integral_phi = pitch(r_phi - phi, phidot, integral_phi)
+            u_psi, integral_psi = yaw(r_psi - psi, psidot, integral_psi)
+            states.append(x)
+            torques.append((u_phi, u_psi))
+    return tuple(np.moveaxis(np.array(values), (0, 1), (-2, -1)) for values in (states, torques))
+
+
+def _control_law(pid, dt, clip):
+    """``(error, rate, integral) -> (torque, next integral)`` of one axis, torque and integral in N m."""
+    P, I, D, (low, high) = pid.P, pid.I, pid.D, pid.limits  # noqa: E741 the field's own name
+
+    def control(error, rate, integral):
+        demand = P * error + integral - D * rate
+        torque = clip(demand, low, high)
+        integrates = (torque == demand) | ((demand - torque) * error < 0)
+        return torque, integral + integrates * (I * error * dt)
+
+    return control
+
+
+def _clip(value, low, high):
+    """`numpy.clip` for a float."""
+    return low if value < low else high if value > high else value
+
+
+def _references(name, values, shape, dimensions):
+    values = np.asarray(values, dtype=float)
+    if values.ndim not in dimensions or values.shape[-1] != 2 or values.shape[-2] < 2 or values.size == 0:
+        raise ValueError(f"{name} has shape {values.shape}; give {shape}: pitch and yaw in rad, two samples or more.")
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name} holds NaN or infinity; give finite angles in rad.")
+    return values
+
+
+def _runs(references, rigs, x0):
+    """Number of runs, on which references, rigs and initial states have to agree."""
+    if not all(isinstance(rig, PlantParameters) for rig in rigs) or not rigs:
+        raise ValueError("parameters must be a tras.PlantParameters or a sequence of them, one per run.")
+    if len(set(map(type, rigs))) > 1:
+        raise ValueError("parameters mixes rigs with the corrected and the printed velocity term; simulate them apart.")
+    counts = {"references": len(references) if references.ndim == 3 else 1, "parameters": len(rigs)}
+    if x0 is not None:
+        if x0.ndim not in (1, 2) or x0.shape[-1] != 4 or not np.isfinite(x0).all():
+            raise ValueError(f"x0 has shape {x0.shape}; give finite phi, phidot, psi, psidot: (4,) or (runs, 4).")
+        counts["x0"] = len(x0) if x0.ndim == 2 else 1
+    runs = max(counts.values())
+    if any(count not in (1, runs) for count in counts.values()):
+        numbers = ", ".join(f"{name} {count}" for name, count in counts.items())
+        raise ValueError(f"the numbers of runs differ: {numbers}; give one for all, or one per run.")
+    return runs
+
+
+def _stacked(rigs):
+    """One rig as it is; several as one whose parameters are arrays, for `tras.twin_rotor.plant.stepper`."""
+    if len(rigs) == 1:
+        return rigs[0]
+    arrays = {name: np.array([getattr(rig, name) for rig in rigs]) for name in LUMPED}
+    return SimpleNamespace(velocity_term=rigs[0].velocity_term, **arrays)
+
+
+def _mean(rigs):
+    """The rig of the mean parameters, with the first one's limits."""
+    if len(rigs) == 1:
+        return rigs[0]
+    means = {name: math.fsum(getattr(rig, name) for rig in rigs) / len(rigs) for name in LUMPED}
+    return PlantParameters(**means, u_phi_limits=rigs[0].u_phi_limits, u_psi_limits=rigs[0].u_psi_limits)
+
+
+def _one_or_all(values):
+    return values if any(value != values[0] for value in values) else values[0]

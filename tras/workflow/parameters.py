@@ -1,0 +1,233 @@
+"""Parameters of notebooks, read and checked before anything runs.
+
+The parameters of a notebook are the assignments of literals in its one cell tagged `parameters`; this cell gives each
+its default and its type. A parameter file has one section per notebook (`01_data_generation: {duration: 500.0}`). A
+name or a type that the cell does not know is an error here, where papermill alone would warn and go on with the
+default.
+
+The checks of types are ours: types made for pydantic from the defaults took as many lines, refused whole numbers as
+keys, and cost each stage 0.2 s of imports, while the sentences stayed ours.
+"""
+
+import ast
+import json
+import re
+from pathlib import Path
+
+from tras.workflow.arguments import did_you_mean
+
+
+class ParameterError(ValueError):
+    """A parameter, or a file that should hold parameters, is not what the notebook needs."""
+
+
+def notebook_defaults(notebook):
+    """Parameters of a notebook: names and defaults, from its one cell tagged `parameters`.
+
+    Parameters
+    ----------
+    notebook : str or Path
+        Path of the notebook.
+
+    Returns
+    -------
+    dict
+        Name -> default, in the order of the cell.
+    """
+    notebook = Path(notebook)
+    cells = _read_notebook(notebook)["cells"]
+    tagged = [cell for cell in cells if "parameters" in cell.get("metadata", {}).get("tags", [])]
+    if len(tagged) != 1:
+        count = "no cell" if not tagged else f"{len(tagged)} cells"
+        raise ParameterError(f"{notebook} has {count} tagged `parameters`: tag just the code cell with the defaults.")
+    source = "".join(tagged[0]["source"])
+    try:
+        body = ast.parse(source).body
+    except SyntaxError as error:
+        raise ParameterError(f"the `parameters` cell of {notebook} is not Python (line {error.lineno}: {error.msg}).") from None
+    defaults = {}
+    for node in body:
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            continue  # a line of text
+        target = node.targets[0] if isinstance(node, ast.Assign) and len(node.targets) == 1 else getattr(node, "target", None)
+        try:
+            if not isinstance(target, ast.Name) or isinstance(node, ast.AugAssign):
+                raise ValueError
+            defaults[target.id] = ast.literal_eval(node.value)
+            if not isinstance(defaults[target.id], (type(None), bool, int, float, str, list, dict)):
+                raise ValueError
+        except (ValueError, TypeError):
+            raise ParameterError(
+                f"the `parameters` cell of {notebook} holds `{ast.get_source_segment(source, node)}`: only assignments "
+                "`name = literal` (number, text, True, None, list, dict) may stand there; compute in the next cell."
+            ) from None
+    return defaults
+
+
+def _read_notebook(notebook):
+    try:
+        content = json.loads(notebook.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ParameterError(f"the notebook {notebook} cannot be read ({error.strerror}): check the path.") from None
+    except ValueError:
+        content = None
+    if not isinstance(content, dict) or "cells" not in content:
+        raise ParameterError(f"{notebook} is not a notebook (nbformat 4): restore it from git.")
+    return content
+
+
+def parse_yaml(text, where):
+    """YAML, with an error instead of silence when a key stands twice."""
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        def construct_mapping(self, node, deep=False):
+            keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+            twice = [key for n, key in enumerate(keys) if key in keys[:n]]
+            if twice:
+                raise ParameterError(f"{where}: `{twice[0]}` stands twice (line {node.start_mark.line + 1} on): keep one.")
+            return super().construct_mapping(node, deep)
+
+    try:
+        return yaml.load(text, Loader)  # a SafeLoader: plain values only
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f" at line {mark.line + 1}" if mark else ""
+        raise ParameterError(f"{where} is not valid YAML{line} ({getattr(error, 'problem', None) or error}): correct it.") from None
+
+
+def read_params(path, notebook):
+    """One notebook's section of a parameter file.
+
+    Parameters
+    ----------
+    path : str or Path
+        YAML file: a mapping of notebook names (without `.ipynb`) to mappings of parameters.
+    notebook : str or Path
+        The notebook; the files beside it are the names that sections may have.
+
+    Returns
+    -------
+    dict
+        Name -> value; empty when the file has no section for the notebook.
+    """
+    path, notebook = Path(path), Path(notebook)
+    try:
+        content = parse_yaml(path.read_text(encoding="utf-8"), path)
+    except OSError as error:
+        raise ParameterError(f"the parameter file {path} cannot be read ({error.strerror}): check the path.") from None
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        raise ParameterError(f"{path} holds a {_kind(content)}: it must be a mapping, one section per notebook.")
+    notebooks = sorted(other.stem for other in notebook.parent.glob("*.ipynb"))
+    for name, section in content.items():
+        if name not in notebooks:
+            raise ParameterError(f"{path} has a section `{name}`, but {notebook.parent} has no such notebook{did_you_mean(name, notebooks)}")
+        if section is not None and not isinstance(section, dict):
+            raise ParameterError(f"section `{name}` of {path} is a {_kind(section)}: write one `parameter: value` per line, indented.")
+    return content.get(notebook.stem) or {}
+
+
+def parse_settings(settings):
+    """`name=value` arguments of the command line as a dictionary, the values read as YAML.
+
+    >>> parse_settings(["seed=3", "data_dir=build/data", "lags=[1, 2]"])
+    {'seed': 3, 'data_dir': 'build/data', 'lags': [1, 2]}
+    """
+    values = {}
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        if not equals or not name.isidentifier():
+            raise ParameterError(f"--set {setting} is not understood: write --set name=value, without blanks around '='.")
+        values[name] = parse_yaml(value, f"--set {setting}")
+    return values
+
+
+def check_parameters(values, defaults, where):
+    """Parameters with names and types as the notebook's defaults have them.
+
+    Parameters
+    ----------
+    values : dict
+        Name -> value.
+    defaults : dict
+        Name -> default, from :func:`notebook_defaults`.
+    where : str
+        Where the values come from, for messages.
+
+    Returns
+    -------
+    dict
+        The values; a whole number in place of a float is a float.
+
+    Raises
+    ------
+    ParameterError
+        For an unknown name or a wrong type.
+    """
+    for name in values:
+        if name not in defaults:
+            raise ParameterError(f"{where}: there is no parameter `{name}`{did_you_mean(name, defaults)}")
+    return {name: _check(value, defaults[name], f"{where}: parameter `{name}`") for name, value in values.items()}
+
+
+def _check(value, default, name):
+    if default is None or (type(value) is type(default) and not isinstance(value, (list, dict))):
+        return value
+    if isinstance(default, float) and type(value) is int:
+        return float(value)
+    if type(value) is not type(default):
+        raise ParameterError(f"{name} must be a {_kind(default)} (its default is {default!r}), {_remedy(value, default)}")
+    if isinstance(value, list):
+        return [_check_like_one_of(item, default, f"{name}[{n}]") for n, item in enumerate(value)]
+    alike = list(default.values())
+    return {
+        key: _check(item, default[key], f"{name}[{key}]") if key in default else _check_like_one_of(item, alike, f"{name}[{key}]")
+        for key, item in value.items()
+    }
+
+
+def _check_like_one_of(value, examples, name):
+    """An element is right when it could stand for any element of the default; an empty default takes all."""
+    problem = None
+    for example in sorted(examples, key=lambda example: type(example) is not type(value)):
+        try:
+            return _check(value, example, name)
+        except ParameterError as error:
+            problem = problem or error
+    if problem:
+        raise problem
+    return value
+
+
+def _kind(value):
+    names = {bool: "true or false", int: "whole number", float: "number", str: "text", list: "list", dict: "mapping"}
+    return names.get(type(value), type(value).__name__)
+
+
+def _remedy(value, default):
+    problem = f"found {value!r} ({_kind(value)})"
+    if isinstance(value, str) and isinstance(default, (int, float)) and not isinstance(default, bool):
+        number = _as_yaml_number(value)
+        if number:
+            return f"{problem}: YAML takes {value} for text, write {number} without quotes."
+    if isinstance(default, str):
+        return f"{problem}: put it in quotes."
+    if isinstance(default, bool):
+        return f"{problem}: write true or false, without quotes."
+    return f"{problem}: correct the value."
+
+
+def _as_yaml_number(text):
+    """The spelling that YAML reads as a number: it wants a point in the mantissa and a sign in the exponent.
+
+    >>> _as_yaml_number("1e-6"), _as_yaml_number("1.5e3"), _as_yaml_number("12"), _as_yaml_number("a")
+    ('1.0e-6', '1.5e+3', '12', None)
+    """
+    try:
+        float(text)
+    except ValueError:
+        return None
+    match = re.fullmatch(r"([-+]?\d*)(\.\d*)?[eE]([-+]?)(\d+)", text.strip())
+    return f"{match[1]}{match[2] or '.0'}e{match[3] or '+'}{match[4]}" if match else text.strip()
