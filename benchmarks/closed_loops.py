@@ -1,6 +1,6 @@
 """Many closed loops at once (`tras.simulate_closed_loops`) against one after the other: 6 s of the experiment, CPU seconds of one core.
 
-    .venv/bin/python benchmarks/closed_loops.py [--runs 1 10 100 1000] [--rounds 5]
+.venv/bin/python benchmarks/closed_loops.py [--runs 1 10 100 1000] [--rounds 5]
 """
 
 import argparse
@@ -36,7 +36,9 @@ def main():
     options = parser.parse_args()
     print(f"{'runs':>6}{'one by one / s':>16}{'together / s':>14}{'ratio':>8}")
     for runs in options.runs:
-        times = np.array([[seconds(references(runs), together) for together in (False, True)] for _ in range(options.rounds)])
+        times = np.array(
+            [[seconds(references(runs), together) for together in (False, True)] for _ in range(options.rounds)]
+        )
         alone, together = np.median(times, axis=0)
         print(f"{runs:6}{alone:16.3f}{together:14.3f}{np.median(times[:, 0] / times[:, 1]):8.2f}", flush=True)
 

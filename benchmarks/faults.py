@@ -38,7 +38,9 @@ def clone(folder, params):
     """This checkout as it is, uncommitted changes included, with a profile and an environment of its own."""
     subprocess.run(["git", "clone", "--quiet", "--no-hardlinks", str(ROOT), str(folder)], check=True)
     command = ["git", "ls-files", "-z", "--modified", "--others", "--exclude-standard"]
-    for name in filter(None, subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.split("\0")):
+    for name in filter(
+        None, subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.split("\0")
+    ):
         if (ROOT / name).is_file():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, folder / name)
@@ -54,7 +56,9 @@ def use_params(text):
 def start():
     """`make all` as the leader of its own process group, output to a file."""
     log = open("make.log", "w")
-    return subprocess.Popen(["make", "all", f"PROFILE={PROFILE}"], stdout=log, stderr=subprocess.STDOUT, start_new_session=True)
+    return subprocess.Popen(
+        ["make", "all", f"PROFILE={PROFILE}"], stdout=log, stderr=subprocess.STDOUT, start_new_session=True
+    )
 
 
 def make():
@@ -112,7 +116,9 @@ def check_complete(expected):
 def check_whole(*allowed):
     """Whatever lies under a final name has the bytes of one complete run or the other: nothing is half written."""
     found = artefacts()
-    odd = sorted(name for name, checksum in found.items() if checksum not in [expected.get(name) for expected in allowed])
+    odd = sorted(
+        name for name, checksum in found.items() if checksum not in [expected.get(name) for expected in allowed]
+    )
     if odd:
         kept = Path(tempfile.mkdtemp(prefix="tras-odd-"))
         shutil.copytree(BUILD, kept / "build")
@@ -191,7 +197,7 @@ def damage(name, how, rng, expected):
     printed, _ = finish(expected)
     if name not in printed:
         raise Wrong(f"{name} {how}, and make did not name it: {printed[:300]}")
-    return f"{name[len(str(BUILD)) + 1:]} {how}: {next(line for line in printed.splitlines() if name in line)}"
+    return f"{name[len(str(BUILD)) + 1 :]} {how}: {next(line for line in printed.splitlines() if name in line)}"
 
 
 def full_disk(size, expected):
@@ -203,7 +209,11 @@ def full_disk(size, expected):
         status, printed, _ = make()
         if not status:
             raise Wrong(f"{size} bytes were enough")
-        said = [line for line in printed.splitlines() if re.search(r"(written \(|\[Errno 28\] )No space left on device.*(nothing was left|make room)", line)]
+        said = [
+            line
+            for line in printed.splitlines()
+            if re.search(r"(written \(|\[Errno 28\] )No space left on device.*(nothing was left|make room)", line)
+        ]
         if not said or "Traceback" in printed:
             raise Wrong(f"no clear sentence, but: {printed[-1500:]}")
         check_whole(expected)
@@ -221,7 +231,12 @@ def full_disk(size, expected):
 def baselines(params):
     """Two undisturbed runs: of other parameters, then of the given ones, both kept. Paths, checksums, seconds."""
     text, states, sums = params.read_text(), {}, {}
-    changed = re.sub(r"^01_data_generation:\n", "01_data_generation:\n  train_seed: 7\n", re.sub(r"\n  train_seed:.*", "", text), flags=re.MULTILINE)
+    changed = re.sub(
+        r"^01_data_generation:\n",
+        "01_data_generation:\n  train_seed: 7\n",
+        re.sub(r"\n  train_seed:.*", "", text),
+        flags=re.MULTILINE,
+    )
     for name, content in (("other", changed), ("own", text)):
         use_params(content)
         shutil.rmtree(BUILD, ignore_errors=True)
@@ -232,7 +247,10 @@ def baselines(params):
         check_complete(sums[name])
         shutil.copytree(BUILD, states[name])
     differing = sum(sums["own"][name] != sums["other"][name] for name in sums["own"])
-    print(f"Undisturbed: {seconds:.1f} s, {len(sums['own'])} artefacts, {differing} of them other ones with the other parameters.\n", flush=True)
+    print(
+        f"Undisturbed: {seconds:.1f} s, {len(sums['own'])} artefacts, {differing} of them other ones with the other parameters.\n",
+        flush=True,
+    )
     return states, sums["own"], sums["other"], seconds
 
 
@@ -254,9 +272,13 @@ def chosen_damages(rng, expected, rounds):
 
 def main():
     parser = argparse.ArgumentParser(description="Kill make, damage its files, fill its disk.")
-    parser.add_argument("--params", type=Path, default=ROOT / "params" / "smoke.yaml", help="parameters (default: the small ones)")
+    parser.add_argument(
+        "--params", type=Path, default=ROOT / "params" / "smoke.yaml", help="parameters (default: the small ones)"
+    )
     parser.add_argument("--kills", type=int, default=20, help="moments at which make is killed (default: %(default)s)")
-    parser.add_argument("--rounds", type=int, default=1, help="times that every stage has every damage (default: %(default)s)")
+    parser.add_argument(
+        "--rounds", type=int, default=1, help="times that every stage has every damage (default: %(default)s)"
+    )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", nargs="+", choices=["kill", "damage", "disk"], default=["kill", "damage", "disk"])
     options = parser.parse_args()

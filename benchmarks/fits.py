@@ -61,5 +61,10 @@ if __name__ == "__main__":
         print(f"{name:12s} N = {N:2d}: {1e3 * whole:5.0f} ms a fit, {1e3 * lifted:4.0f} ms of it lifting")
     points = grid.points(study)
     simulations = 4 * (len(study.train_seeds) + len(study.validation_seeds)) * simulation
-    print(f"the grid's mix, two cores: {2 * fits / bare:.0f} fits/s without lifting, {2 * fits / total:.0f} with lifting, ", end="")
-    print(f"{2 * len(points) / (len(points) * total / fits + simulations):.0f} with lifting and simulations ({simulation:.2f} s each)")
+    print(
+        f"the grid's mix, two cores: {2 * fits / bare:.0f} fits/s without lifting, {2 * fits / total:.0f} with lifting, ",
+        end="",
+    )
+    print(
+        f"{2 * len(points) / (len(points) * total / fits + simulations):.0f} with lifting and simulations ({simulation:.2f} s each)"
+    )

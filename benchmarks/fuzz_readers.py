@@ -40,14 +40,23 @@ def seeds(folder):
     """Valid files, small so that most damage hits something that matters: name -> bytes."""
     rng = np.random.default_rng(0)
     x, u = [rng.normal(size=(k, 2)) for k in (7, 4)], [rng.normal(size=(k, 1)) for k in (7, 4)]
-    labels = {"state_names": ["phi", "phidot"], "state_units": ["rad", "rad/s"], "input_names": ["u1"], "input_units": ["N m"]}
+    labels = {
+        "state_names": ["phi", "phidot"],
+        "state_units": ["rad", "rad/s"],
+        "input_names": ["u1"],
+        "input_units": ["N m"],
+    }
     recording = tras.Recording(x, u, 0.25, **labels, attributes={"seed": 3})
     for suffix in ("nc", "csv", "parquet", "mat"):
         recording.write(folder / f"own.{suffix}")
     t = [np.arange(len(a)) * 0.25 for a in x]
     lines = [f"{s:.2f};{a[0]:.4f};{a[1]:.4f};{b[0]:.3f}".replace(".", ",") for s, a, b in zip(t[0], x[0], u[0])]
-    (folder / "logger.csv").write_text("\n".join(["\ufeffTime [s];phi [deg];phidot [deg/s];u1 [V]", *lines, ""]), encoding="utf-8")
-    pandas.DataFrame({"time": t[0], "phi": x[0][:, 0], "u1": u[0][:, 0], "run": ["a"] * 4 + ["b"] * 3}).to_parquet(folder / "pandas.parquet")
+    (folder / "logger.csv").write_text(
+        "\n".join(["\ufeffTime [s];phi [deg];phidot [deg/s];u1 [V]", *lines, ""]), encoding="utf-8"
+    )
+    pandas.DataFrame({"time": t[0], "phi": x[0][:, 0], "u1": u[0][:, 0], "run": ["a"] * 4 + ["b"] * 3}).to_parquet(
+        folder / "pandas.parquet"
+    )
     cells = {"t": _cell(t), "x": _cell(x), "u": _cell(u)}
     savemat(folder / "matlab5.mat", cells)
     savemat(folder / "matlab5z.mat", {"log": {"t": t[0], "x": x[0], "u": u[0], "name": "rig"}}, do_compression=True)
@@ -66,10 +75,14 @@ def _matlab73(path, cells):
         for name, values in cells.items():
             found = []
             for value in values[0]:
-                item = file.create_dataset(f"#refs#/{name}{len(found)}", data=np.atleast_2d(value).T if value.ndim == 1 else value.T)
+                item = file.create_dataset(
+                    f"#refs#/{name}{len(found)}", data=np.atleast_2d(value).T if value.ndim == 1 else value.T
+                )
                 item.attrs["MATLAB_class"] = np.bytes_("double")
                 found.append(item.ref)
-            file.create_dataset(name, data=np.array([found], dtype=h5py.ref_dtype)).attrs["MATLAB_class"] = np.bytes_("cell")
+            file.create_dataset(name, data=np.array([found], dtype=h5py.ref_dtype)).attrs["MATLAB_class"] = np.bytes_(
+                "cell"
+            )
 
 
 def damaged(content, others, rng):
@@ -85,7 +98,9 @@ def damaged(content, others, rng):
         elif kind == 2:
             content[place] = int(rng.integers(256))
         elif kind == 3:
-            content[place : place + 4] = rng.choice((b"\xff\xff\xff\xff", b"\x00\x00\x00\x00", b"\xff\xff\xff\x7f", b"\x00\x00\x00\x80"))
+            content[place : place + 4] = rng.choice(
+                (b"\xff\xff\xff\xff", b"\x00\x00\x00\x00", b"\xff\xff\xff\x7f", b"\x00\x00\x00\x80")
+            )
         elif kind == 4:
             del content[place:]
         elif kind == 5:
@@ -111,7 +126,11 @@ def verdict(path, truth):
         recording = tras.Recording.read(path)
     except tras.RecordingError as error:
         foreseen = isinstance(error.__cause__, ValueError) or path.suffix == ".nc" or error.__cause__ is None
-        return ("refused", "") if foreseen else ("unforeseen", f"{type(error.__cause__).__name__}: {error.__cause__}"[:120])
+        return (
+            ("refused", "")
+            if foreseen
+            else ("unforeseen", f"{type(error.__cause__).__name__}: {error.__cause__}"[:120])
+        )
     except BaseException as error:  # noqa: BLE001
         return "traceback", f"{type(error).__name__}: {error}"[:200]
     return ("read, same content", "") if content_of(recording) == truth else ("other content", "")
@@ -141,7 +160,9 @@ class Child:
     def start(self):
         jobs, self.jobs = multiprocessing.Pipe(duplex=False)
         self.answers, answers = multiprocessing.Pipe(duplex=False)
-        self.process = multiprocessing.get_context("fork").Process(target=work, args=(jobs, answers, *self.arguments), daemon=True)
+        self.process = multiprocessing.get_context("fork").Process(
+            target=work, args=(jobs, answers, *self.arguments), daemon=True
+        )
         self.process.start()
         jobs.close()
         answers.close()
@@ -195,7 +216,9 @@ def main():
     table = report(counts)
     print(table.to_string(index=False))
     memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
-    print(f"{sum(table['inputs'])} inputs in {time.monotonic() - began:.0f} s, seed {options.seed}; at most {memory:.0f} MiB of memory")
+    print(
+        f"{sum(table['inputs'])} inputs in {time.monotonic() - began:.0f} s, seed {options.seed}; at most {memory:.0f} MiB of memory"
+    )
     for words, times in kinds.most_common(40):
         print(f"{times:6d}  {words}")
     if options.csv:

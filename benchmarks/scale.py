@@ -70,8 +70,12 @@ def main():
     before, start = resident(), time.perf_counter()
     model = tras.KoopmanModel(tras.Monomials(options.degree)).fit(source, progress=True, checkpoint=options.checkpoint)
     seconds = time.perf_counter() - start
-    print(f"{produced} pairs, N = {len(model.names_)}, strength {model.strength_:g}, condition number {model.condition_number:.1e}")
-    print(f"resident memory: {before:.0f} MiB before, at most {resident('VmHWM'):.0f} MiB, the fit's own {resident('VmHWM') - before:.0f} MiB")
+    print(
+        f"{produced} pairs, N = {len(model.names_)}, strength {model.strength_:g}, condition number {model.condition_number:.1e}"
+    )
+    print(
+        f"resident memory: {before:.0f} MiB before, at most {resident('VmHWM'):.0f} MiB, the fit's own {resident('VmHWM') - before:.0f} MiB"
+    )
     print(f"fit {seconds:.1f} s, {produced / seconds:.3g} pairs/s; of this making the data twice {2 * making:.1f} s")
 
 

@@ -31,7 +31,10 @@ def scaled_recording(inputs):
     """The paper's experiment, 50 000 pairs, channels in [-1, 1]."""
     reference = tras.multisine(500, 0.01, [0.2, 0.8], [1.22173, np.pi], np.random.default_rng(1))
     recording = tras.simulate_closed_loop(reference, 0.01, tras.PlantParameters()).select(inputs=inputs).cut(501)
-    x, u = ((v - (v.max((0, 1)) + v.min((0, 1))) / 2) / (np.ptp(v, axis=(0, 1)) / 2) for v in (recording.states, recording.inputs))
+    x, u = (
+        (v - (v.max((0, 1)) + v.min((0, 1))) / 2) / (np.ptp(v, axis=(0, 1)) / 2)
+        for v in (recording.states, recording.inputs)
+    )
     return tras.Recording(x, u, 0.01)
 
 
@@ -80,7 +83,13 @@ def times(recording, rounds):
             for name, seconds in spent.items():
                 ratio = float(np.median(np.array(seconds) / base))
                 table.append(
-                    {"N": len(dictionary.names), "lifting": lifting, "method": name, "seconds": np.median(seconds), "ratio": ratio}
+                    {
+                        "N": len(dictionary.names),
+                        "lifting": lifting,
+                        "method": name,
+                        "seconds": np.median(seconds),
+                        "ratio": ratio,
+                    }
                 )
     return pd.DataFrame(table)
 
@@ -108,7 +117,12 @@ def accuracy():
         columns = [j for j in (1, 2, 3, 4, 9, 100, 150) if Y[:, j].any()]
         fit = koopman.koopman_matrix(dictionary, recording)[1]
         exact = extended(X, np.ascontiguousarray(Y[:, columns]), fit.R)[0]
-        about = {"dictionary": str(dictionary), "inputs": inputs[0], "N": X.shape[1], "condition": fit.scaled_condition_number}
+        about = {
+            "dictionary": str(dictionary),
+            "inputs": inputs[0],
+            "N": X.shape[1],
+            "condition": fit.scaled_condition_number,
+        }
         for name, method in METHODS.items():
             found = fit.coefficients if name == "ours" else method(parts)
             table.append(about | {"method": name, "error": columnwise(found[:, columns], exact)})
@@ -131,7 +145,11 @@ def main():
         errors = accuracy()
         print("\nError of the coefficients; condition number of the lifted rows, columns scaled")
         index = ["dictionary", "inputs", "N", "condition"]
-        print(errors.pivot_table(index=index, columns="method", values="error", sort=False).map("{:.1e}".format).to_string())
+        print(
+            errors.pivot_table(index=index, columns="method", values="error", sort=False)
+            .map("{:.1e}".format)
+            .to_string()
+        )
         tables.append(errors)
     if options.csv:
         pd.concat(tables, ignore_index=True).to_csv(options.csv, index=False)

@@ -39,7 +39,9 @@ def cluster():
 @pytest.fixture(scope="module")
 def browser():
     """Debian's chromium, driven by Playwright; none, no test. (Not for the session: Playwright holds the event loop while it lives.)"""
-    playwright = pytest.importorskip("playwright.sync_api", reason="needs Playwright, which environment.txt has: make setup")
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="needs Playwright, which environment.txt has: make setup"
+    )
     chromium = shutil.which("chromium")
     if not chromium:
         pytest.skip("needs the browser chromium: apt-get install chromium")
@@ -77,7 +79,9 @@ def ode_recording(field, dt, *, n, m=0, trajectories=40, samples=21, size=1.0, s
     for i in range(trajectories):
         for k in range(samples - 1):
             held = u[i, k]
-            flow = solve_ivp(lambda t, s, held=held: field(s, held), (0, dt), x[i, k], method="DOP853", rtol=1e-12, atol=1e-13)
+            flow = solve_ivp(
+                lambda t, s, held=held: field(s, held), (0, dt), x[i, k], method="DOP853", rtol=1e-12, atol=1e-13
+            )
             x[i, k + 1] = flow.y[:, -1]
     return tras.Recording(x, u, dt)
 
@@ -94,6 +98,8 @@ def visible_texts(figure):
         for axis in (axes.xaxis, axes.yaxis):
             low, high = sorted(axis.get_view_interval())
             ticks = axis.get_major_ticks() + axis.get_minor_ticks()
-            hidden |= {t for tick in ticks if not (axes.axison and low <= tick.get_loc() <= high) for t in tick.findobj(Text)}
+            hidden |= {
+                t for tick in ticks if not (axes.axison and low <= tick.get_loc() <= high) for t in tick.findobj(Text)
+            }
     texts = [t for t in figure.findobj(Text) if t not in hidden and t.get_visible() and t.get_text().strip()]
     return canvas.get_renderer(), texts

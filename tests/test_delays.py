@@ -34,7 +34,9 @@ def position():
 def test_delayed_values_by_hand():
     x = [np.array([[1.0, 10], [2, 20], [3, 30], [4, 40]]), np.array([[5.0, 50], [6, 60], [7, 70]])]
     u = [np.array([[0.1], [0.2], [0.3], [0.4]]), np.array([[0.5], [0.6], [0.7]])]
-    recording = tras.Recording(x, u, 0.5, state_names=["a", "b"], input_names=["v"], state_units=["m", "rad"], input_units=["N"])
+    recording = tras.Recording(
+        x, u, 0.5, state_names=["a", "b"], input_names=["v"], state_units=["m", "rad"], input_units=["N"]
+    )
     late = recording.delayed(2, inputs=True)
     assert late.state_names == ("a", "b", "a[-1]", "b[-1]", "a[-2]", "b[-2]", "v[-1]", "v[-2]")
     assert late.state_units == ("m", "rad", "m", "rad", "m", "rad", "N", "N")
@@ -56,7 +58,9 @@ def test_angles_alone_are_predicted_with_delays_and_not_without(predictor, seen,
     for delays in (0, 1, 2):
         model = tras.KoopmanModel(tras.Monomials(1), predictor, delays=delays).fit(seen)
         predicted = model.predict(unseen)
-        assert predicted.shape == unseen.states.shape and np.array_equal(predicted[:, : delays + 1], unseen.states[:, : delays + 1])
+        assert predicted.shape == unseen.states.shape and np.array_equal(
+            predicted[:, : delays + 1], unseen.states[:, : delays + 1]
+        )
         error.append(metrics.nrmse(unseen.states, predicted))
     assert np.all(error[0] > 3)
     assert np.all(error[1] < 1.5) and np.all(error[1] < error[0] / 4)
@@ -90,14 +94,18 @@ def test_more_delays_than_a_linear_system_has_states_are_named(position):
 
 def test_unequal_lengths(position):
     lengths = [60, 3, 17, 33, 60, 45]
-    cut = tras.Recording([x[:k] for k, (x, _) in zip(lengths, position)], [u[:k] for k, (_, u) in zip(lengths, position)], 0.1)
+    cut = tras.Recording(
+        [x[:k] for k, (x, _) in zip(lengths, position)], [u[:k] for k, (_, u) in zip(lengths, position)], 0.1
+    )
     model = tras.KoopmanModel(tras.Monomials(1), "one_step", delays=1).fit(cut)
     predicted = model.predict(cut)
     assert [len(x) for x in predicted] == lengths
     assert all(np.abs(p - x).max() <= 1e-9 for p, x in zip(predicted, cut.states))
     assert model.pairs_ == sum(k - 2 for k in lengths)
     assert model.score(cut) == pytest.approx(0, abs=1e-7)
-    short = tras.Recording([position.states[0, :1], position.states[0]], [position.inputs[0, :1], position.inputs[0]], 0.1)
+    short = tras.Recording(
+        [position.states[0, :1], position.states[0]], [position.inputs[0, :1], position.inputs[0]], 0.1
+    )
     with pytest.raises(ValueError, match="a trajectory has 1 samples but 1 delays need 2; leave it out"):
         model.predict(short)
     with pytest.raises(ValueError, match="trajectory 0 has 1 samples, too few for 1 delays"):

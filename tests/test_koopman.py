@@ -48,13 +48,27 @@ def test_dealing_gives_every_pair_once_and_blocks_of_one_size(lengths, block, lo
 
 
 @pytest.mark.parametrize("inputs", ["none", "held", "moving", "states alone"])
-@pytest.mark.parametrize("dictionary", [tras.Monomials(3), tras.GaussianRBF(20, 1.0), tras.Mechanical(3), tras.Product(tras.Fourier(1), tras.Monomials(1))])
+@pytest.mark.parametrize(
+    "dictionary",
+    [
+        tras.Monomials(3),
+        tras.GaussianRBF(20, 1.0),
+        tras.Mechanical(3),
+        tras.Product(tras.Fourier(1), tras.Monomials(1)),
+    ],
+)
 def test_rows_are_the_liftings_of_both_ends(dictionary, inputs, monkeypatch):
     """... whether the second lifting is computed or is the next pair's first, in blocks beyond a strip of points and below."""
     monkeypatch.setattr(dictionaries, "STRIP", 256)
     rng = np.random.default_rng(0)
     x = [rng.uniform(-1, 1, (k, 2)) for k in (700, 3, 2, 90)]
-    u = [{"moving": rng.uniform(-1, 1, (len(a), 1)), "held": np.repeat(rng.uniform(-1, 1, (len(a) // 7 + 1, 1)), 7, axis=0)[: len(a)]}.get(inputs) for a in x]
+    u = [
+        {
+            "moving": rng.uniform(-1, 1, (len(a), 1)),
+            "held": np.repeat(rng.uniform(-1, 1, (len(a) // 7 + 1, 1)), 7, axis=0)[: len(a)],
+        }.get(inputs)
+        for a in x
+    ]
     recording = tras.Recording(x, None if u[0] is None else u, 1.0)
     lift = koopman.lifted_linear_rows if inputs == "states alone" else koopman.rows
     for deal in (0, 1, koopman.SUIT):
@@ -65,7 +79,9 @@ def test_rows_are_the_liftings_of_both_ends(dictionary, inputs, monkeypatch):
             for regressors, change in (lift(fitted, x, u, y), work((x, u, y)), work((x, u, y))):
                 single = [np.array([fitted(a, b) for a, b in zip(end, u)]) for end in (x, y)]
                 assert regressors.flags.f_contiguous and change.flags.f_contiguous
-                assert np.allclose(regressors, single[0], rtol=0, atol=1e-13) and np.allclose(change, single[1] - single[0], rtol=0, atol=1e-13)
+                assert np.allclose(regressors, single[0], rtol=0, atol=1e-13) and np.allclose(
+                    change, single[1] - single[0], rtol=0, atol=1e-13
+                )
 
 
 def test_inputs_stand_behind_the_states_in_rows_of_a_lifted_linear_model():
@@ -73,7 +89,9 @@ def test_inputs_stand_behind_the_states_in_rows_of_a_lifted_linear_model():
     x, u, y = rng.normal(size=(50, 2)), rng.normal(size=(50, 2)), rng.normal(size=(50, 2))
     psi = tras.Monomials(2).fit(x)
     regressors, change = koopman.lifted_linear_rows(psi, x, u, y)
-    assert np.array_equal(regressors, np.hstack([psi(x)[:, :3], u, psi(x)[:, 3:]])) and np.array_equal(change, psi(y) - psi(x))
+    assert np.array_equal(regressors, np.hstack([psi(x)[:, :3], u, psi(x)[:, 3:]])) and np.array_equal(
+        change, psi(y) - psi(x)
+    )
 
 
 @pytest.mark.parametrize("options", [{}, {"predictor": "lifted_linear"}, {"predictor": "one_step", "delays": 2}])
@@ -81,7 +99,12 @@ def test_a_fit_has_the_same_bits_for_any_number_of_threads(options):
     rng = np.random.default_rng(0)
     x = np.cumsum(rng.normal(size=(3, 9001, 2)), axis=1) * 0.01
     recording = tras.Recording(x, rng.uniform(-1, 1, (3, 9001, 1)), 0.1)
-    one, three = (tras.KoopmanModel(tras.Monomials(3), **{"predictor": "one_step"} | options, strength=1e-6).fit(recording, threads=k) for k in (1, 3))
+    one, three = (
+        tras.KoopmanModel(tras.Monomials(3), **{"predictor": "one_step"} | options, strength=1e-6).fit(
+            recording, threads=k
+        )
+        for k in (1, 3)
+    )
     assert np.array_equal(one.koopman_matrix, three.koopman_matrix) and one.condition_number == three.condition_number
     with pytest.raises(ValueError, match="threads = 0; give the number of threads, 1 or more"):
         tras.KoopmanModel(tras.Monomials(3)).fit(recording, threads=0)

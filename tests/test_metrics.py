@@ -22,7 +22,11 @@ def test_nrmse_per_trajectory():
 
 
 def test_perfect_and_useless():
-    assert np.allclose(metrics.enr(TRUE, TRUE), 0) and np.allclose(metrics.bfr(TRUE, TRUE), 100) and np.allclose(metrics.nrmse(TRUE, TRUE), 0)
+    assert (
+        np.allclose(metrics.enr(TRUE, TRUE), 0)
+        and np.allclose(metrics.bfr(TRUE, TRUE), 100)
+        and np.allclose(metrics.nrmse(TRUE, TRUE), 0)
+    )
     mean = np.broadcast_to(TRUE.mean(axis=(0, 1)), TRUE.shape)
     assert np.allclose(metrics.bfr(TRUE, mean), 0)  # no better than the mean
     assert np.allclose(metrics.bfr(TRUE, -10 * TRUE), 0)  # never below zero
@@ -35,7 +39,10 @@ def test_better_models_score_higher_on_the_repaired_bfr():
 
 
 def test_lists_of_unequal_length_count_every_sample():
-    true, wrong = [np.zeros((2, 1)), np.array([[0.0], [4.0], [0.0]])], [np.ones((2, 1)), np.array([[0.0], [4.0], [0.0]])]
+    true, wrong = (
+        [np.zeros((2, 1)), np.array([[0.0], [4.0], [0.0]])],
+        [np.ones((2, 1)), np.array([[0.0], [4.0], [0.0]])],
+    )
     assert metrics.nrmse(true, wrong)[0] == pytest.approx(100 * np.sqrt(2 / 5) / 4)
     assert list(metrics.diverged(true, wrong)) == [False, False]
 
@@ -112,7 +119,11 @@ METRICS = [
         (np.ones((2, 10, 3)), np.ones((2, 10, 1)), "different shapes .2 of .10, 3. and 2 of .10, 1.."),
         (np.ones((2, 10, 3)), np.ones((1, 10, 3)), "different shapes"),
         ([np.ones((4, 1))] * 2, [np.ones((4, 1))], "different shapes"),
-        ([np.ones((4, 1)), np.ones((4, 2))], [np.ones((4, 1))] * 2, "true holds trajectories .* unequal numbers of channels"),
+        (
+            [np.ones((4, 1)), np.ones((4, 2))],
+            [np.ones((4, 1))] * 2,
+            "true holds trajectories .* unequal numbers of channels",
+        ),
         ([np.ones((4, 1))], [np.ones((4, 1)), np.ones(4)], "predicted is no set of trajectories"),
         ([], [], "true has shape .0,.: it holds no sample"),
         (np.ones((0, 10, 3)), np.ones((0, 10, 3)), "true has shape .0, 10, 3.: it holds no sample"),
@@ -135,7 +146,10 @@ def test_shapes_are_checked_everywhere(metric, true, predicted, words):
         (lambda: metrics.nrmse(TRUE, TRUE, span=[1.0, 0.0]), "channel 1: the span is zero"),
         (lambda: metrics.diverged(TRUE, TRUE, span=[1.0, np.nan]), "span is .1.0, nan."),
         (lambda: metrics.nrmse(TRUE, TRUE, range_over="trajectory", span=[1.0, 1.0]), "give one of the two"),
-        (lambda: metrics.nrmse(TRUE, TRUE, range_over="trajectory"), "channel 0: the truth of trajectory 1 is constant"),
+        (
+            lambda: metrics.nrmse(TRUE, TRUE, range_over="trajectory"),
+            "channel 0: the truth of trajectory 1 is constant",
+        ),
         (lambda: metrics.nrmse(TRUE, TRUE, range_over="window"), "range_over is 'window'"),
         (lambda: metrics.judge(TRUE, TRUE, range_over="window"), "range_over is 'window'"),
         (lambda: metrics.judge(TRUE, TRUE, span=[1.0]), "span is .1.0.; give one finite range for each of the 2"),

@@ -35,7 +35,9 @@ def torque_data(experiment):
 def test_every_predictor_is_exact_on_a_linear_system(predictor, oscillator):
     model = tras.KoopmanModel(tras.Monomials(1), predictor).fit(oscillator)
     # The roll-out of F by Runge-Kutta is held to 1e-8 of a half-range a sample.
-    assert np.abs(model.predict(oscillator) - oscillator.states).max() <= (1e-6 if predictor == "vector_field" else 1e-10)
+    assert np.abs(model.predict(oscillator) - oscillator.states).max() <= (
+        1e-6 if predictor == "vector_field" else 1e-10
+    )
 
 
 def test_vector_field_is_the_systems_own(oscillator):
@@ -73,7 +75,9 @@ def test_roll_out_of_the_field_against_dop853(torque_data):
     x0, held = torque_data.states[3, 0], torque_data.inputs[3, :101]
     states = [x0]
     for u in held[:-1]:
-        flow = solve_ivp(lambda t, x, u=u: model.vector_field(x, u), (0, 0.01), states[-1], method="DOP853", rtol=1e-11, atol=1e-12)
+        flow = solve_ivp(
+            lambda t, x, u=u: model.vector_field(x, u), (0, 0.01), states[-1], method="DOP853", rtol=1e-11, atol=1e-12
+        )
         states.append(flow.y[:, -1])
     assert np.abs(model.simulate(x0, held) - states).max() <= 1e-6
 
@@ -86,7 +90,10 @@ def test_slow_sampling_gets_more_steps():
 
 
 @settings(max_examples=8, deadline=None)
-@given(factors=st.lists(st.floats(1e-4, 1e4), min_size=6, max_size=6), shifts=st.lists(st.floats(-100, 100), min_size=6, max_size=6))
+@given(
+    factors=st.lists(st.floats(1e-4, 1e4), min_size=6, max_size=6),
+    shifts=st.lists(st.floats(-100, 100), min_size=6, max_size=6),
+)
 @pytest.mark.parametrize("predictor", PREDICTORS)
 @pytest.mark.slow
 def test_units_do_not_matter(predictor, torque_data, factors, shifts):
@@ -96,7 +103,9 @@ def test_units_do_not_matter(predictor, torque_data, factors, shifts):
     u = torque_data.inputs * factors[4:] + shifts[4:] * factors[4:]
     model = tras.KoopmanModel(tras.Monomials(2), predictor)
     plain = clone(model).fit(torque_data).predict(torque_data[:2])
-    changed = clone(model).fit(tras.Recording(x, u, torque_data.dt)).predict(tras.Recording(x[:2], u[:2], torque_data.dt))
+    changed = (
+        clone(model).fit(tras.Recording(x, u, torque_data.dt)).predict(tras.Recording(x[:2], u[:2], torque_data.dt))
+    )
     back = changed / factors[:4] - shifts[:4]
     assert np.abs(back - plain).max() <= 1e-6
 
@@ -117,7 +126,9 @@ def test_a_list_of_recordings_is_one_recording(torque_data):
 
 def test_unequal_lengths(oscillator):
     lengths = [60, 2, 17, 33, 60, 45]
-    cut = tras.Recording([x[:k] for k, (x, _) in zip(lengths, oscillator)], [u[:k] for k, (_, u) in zip(lengths, oscillator)], 0.1)
+    cut = tras.Recording(
+        [x[:k] for k, (x, _) in zip(lengths, oscillator)], [u[:k] for k, (_, u) in zip(lengths, oscillator)], 0.1
+    )
     model = tras.KoopmanModel(tras.Monomials(1), "one_step").fit(cut)
     predicted = model.predict(cut)
     assert [len(x) for x in predicted] == lengths
@@ -154,7 +165,9 @@ def test_prediction_that_leaves_is_nan_from_there_on_and_the_others_go_on():
 
 def test_score_is_minus_nrmse_and_a_grid_search_runs(torque_data):
     model = tras.KoopmanModel(tras.GaussianRBF(2)).fit(torque_data)
-    assert model.score(torque_data) == pytest.approx(-np.mean(metrics.nrmse(torque_data.states, model.predict(torque_data))))
+    assert model.score(torque_data) == pytest.approx(
+        -np.mean(metrics.nrmse(torque_data.states, model.predict(torque_data)))
+    )
     grid = {"dictionary": [tras.Monomials(1), tras.GaussianRBF(3)], "predictor": ["vector_field", "one_step"]}
     search = GridSearchCV(tras.KoopmanModel(tras.Monomials(1)), grid, cv=2, error_score="raise").fit(torque_data)
     assert np.isfinite(search.best_score_) and search.best_estimator_.koopman_matrix.ndim == 2
@@ -196,7 +209,10 @@ def test_loading_runs_no_code_and_names_bad_files(tmp_path, torque_data):
     tras.KoopmanModel(tras.Monomials(1)).fit(torque_data).save(tmp_path / "good.npz")
     with np.load(tmp_path / "good.npz") as file:
         arrays = dict(file)
-    for change, words in ((("format", "tras model 99"), "tras model 99"), (("dictionary", {"name": "os", "parameters": {}}), "'os' is not one")):
+    for change, words in (
+        (("format", "tras model 99"), "tras model 99"),
+        (("dictionary", {"name": "os", "parameters": {}}), "'os' is not one"),
+    ):
         header = json.loads(str(arrays["header"])) | dict([change])
         np.savez(tmp_path / "other.npz", **{**arrays, "header": np.array(json.dumps(header))})
         with pytest.raises(ValueError, match=words):
@@ -297,7 +313,10 @@ def test_fit_leaves_the_dictionary_alone(torque_data):
 @pytest.mark.parametrize("delays", [0, 1])
 def test_the_states_columns_alone_predict_as_all_of_k_do(oscillator, delays, tmp_path):
     recording = oscillator.select(states=["x1"]) if delays else oscillator
-    whole, part = (tras.KoopmanModel(tras.Monomials(3), "one_step", delays, strength=1e-3, columns=columns).fit(recording) for columns in ("all", "states"))
+    whole, part = (
+        tras.KoopmanModel(tras.Monomials(3), "one_step", delays, strength=1e-3, columns=columns).fit(recording)
+        for columns in ("all", "states")
+    )
     n = len(part.dictionary_.coordinates)
     assert part.koopman_matrix.shape == (len(part.names_), n)
     assert np.allclose(part.koopman_matrix, whole.koopman_matrix[:, 1 : 1 + n], rtol=0, atol=1e-12)
@@ -306,8 +325,14 @@ def test_the_states_columns_alone_predict_as_all_of_k_do(oscillator, delays, tmp
     loaded = tras.load_model(tmp_path / "part.npz")
     assert np.array_equal(loaded.predict(recording), part.predict(recording))
     assert "no eigenvalues" in part.report(recording) and tras.export.formulas(part) == tras.export.formulas(whole)
-    for ask in (lambda: part.eigenvalues, lambda: spectrum.eigenpairs(part), lambda: spectrum.projection_error(part, recording)):
-        with pytest.raises(ValueError, match="columns is 'states', so the other columns of K and its eigenvalues are not known"):
+    for ask in (
+        lambda: part.eigenvalues,
+        lambda: spectrum.eigenpairs(part),
+        lambda: spectrum.projection_error(part, recording),
+    ):
+        with pytest.raises(
+            ValueError, match="columns is 'states', so the other columns of K and its eigenvalues are not known"
+        ):
             ask()
     with pytest.raises(ValueError, match="columns='states' needs predictor='one_step', but it is 'vector_field'"):
         tras.KoopmanModel(tras.Monomials(3), columns="states").fit(recording)

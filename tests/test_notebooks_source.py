@@ -28,7 +28,9 @@ def test_there_are_notebooks():
 @each_notebook
 def test_stored_without_results(path):
     for cell in code_cells(path):
-        assert cell["outputs"] == [] and cell["execution_count"] is None, f"{path.name}: clear all outputs before saving"
+        assert cell["outputs"] == [] and cell["execution_count"] is None, (
+            f"{path.name}: clear all outputs before saving"
+        )
 
 
 @each_notebook
@@ -62,7 +64,11 @@ def test_every_profile_fits(path, params):
 @each_notebook
 def test_links_lead_somewhere(path):
     """Of the text, to files of this project, from the notebook's own folder."""
-    text = "".join("".join(cell["source"]) + "\n" for cell in json.loads(path.read_text())["cells"] if cell["cell_type"] == "markdown")
+    text = "".join(
+        "".join(cell["source"]) + "\n"
+        for cell in json.loads(path.read_text())["cells"]
+        if cell["cell_type"] == "markdown"
+    )
     places = [place for place in re.findall(r"\]\(([^)#]+)", text) if "://" not in place]
     assert [place for place in places if not (path.parent / place).exists()] == []
 
@@ -70,5 +76,7 @@ def test_links_lead_somewhere(path):
 @each_notebook
 def test_every_notebook_says_what_it_does_and_links_paper_or_code(path):
     first = "".join(json.loads(path.read_text())["cells"][0]["source"])
-    assert first.startswith("# ") and "**What it does.**" in first and ("**Follows**" in first or path.stem == "explore")
+    assert (
+        first.startswith("# ") and "**What it does.**" in first and ("**Follows**" in first or path.stem == "explore")
+    )
     assert "../tras/" in first, f"{path.name}: link the code that it stands on"

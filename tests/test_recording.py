@@ -23,14 +23,22 @@ def ragged(lengths=(5, 3, 9), n=2, m=1):
 
 
 def same(a, b):
-    return (
-        all(np.array_equal(x, y) and np.array_equal(u, v) for (x, u), (y, v) in zip(a, b, strict=True))
-        and (a.dt, a.state_names, a.input_names, a.state_units, a.input_units) == (b.dt, b.state_names, b.input_names, b.state_units, b.input_units)
-    )
+    return all(np.array_equal(x, y) and np.array_equal(u, v) for (x, u), (y, v) in zip(a, b, strict=True)) and (
+        a.dt,
+        a.state_names,
+        a.input_names,
+        a.state_units,
+        a.input_units,
+    ) == (b.dt, b.state_names, b.input_names, b.state_units, b.input_units)
 
 
 @settings(max_examples=30, deadline=None)
-@given(lengths=st.lists(st.integers(1, 6), min_size=1, max_size=4), n=st.integers(1, 3), m=st.integers(0, 2), data=st.data())
+@given(
+    lengths=st.lists(st.integers(1, 6), min_size=1, max_size=4),
+    n=st.integers(1, 3),
+    m=st.integers(0, 2),
+    data=st.data(),
+)
 def test_file_round_trip_is_exact(lengths, n, m, data, tmp_path_factory):
     draw = lambda k, c: np.array(data.draw(st.lists(finite, min_size=k * c, max_size=k * c))).reshape(k, c)  # noqa: E731
     recording = tras.Recording(
@@ -67,7 +75,12 @@ def test_attributes_of_every_kind(tmp_path):
     expected = {**given, "numpy": 0.5, "array": [0, 1, 2], "pair": [1, 2]}
     assert repr(R.read(tmp_path / "a.nc").attributes) == repr(recording.attributes) == repr(expected)
     with xarray.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as dataset:
-        assert (dataset.attrs["seed"], dataset.attrs["who"], dataset.attrs["rate"], dataset.attrs["yes"]) == (7, "me", 0.1, 1)
+        assert (dataset.attrs["seed"], dataset.attrs["who"], dataset.attrs["rate"], dataset.attrs["yes"]) == (
+            7,
+            "me",
+            0.1,
+            1,
+        )
     recording.attributes["later"] = {1, 2}
     with pytest.raises(ValueError, match="attribute 'later' holds .1, 2. .set."):
         recording.write(tmp_path / "b.nc")
@@ -174,7 +187,10 @@ def test_select_reorders_channels(experiment):
         (lambda: R([[["a"]]], dt=1), "cannot be read as numbers"),
         (lambda: R(ZEROS, dt=1, state_names=["a", "b"]), "state_names has 2 entries"),
         (lambda: R(ZEROS, dt=1, state_names=["a", "b", "a"]), "repeat a name"),
-        (lambda: R(ZEROS, np.zeros((2, 5, 1)), 1, state_names=list("abc"), input_names=["c"]), "'c' stands for a state and for an input"),
+        (
+            lambda: R(ZEROS, np.zeros((2, 5, 1)), 1, state_names=list("abc"), input_names=["c"]),
+            "'c' stands for a state and for an input",
+        ),
         (lambda: R(ZEROS, dt="0.01"), "dt is '0.01'"),
         (lambda: R(ZEROS, dt=True), "dt is True"),
         (lambda: R(ZEROS, dt=1, state_names="abc"), "state_names is the string 'abc'"),
@@ -182,14 +198,26 @@ def test_select_reorders_channels(experiment):
         (lambda: R(ZEROS, dt=1, state_units=["a", None, "c"]), "state_units holds None; give strings"),
         (lambda: R(ZEROS, dt=1, state_names=["a", "", "c"]), "state_names holds ''; give names that are not empty"),
         (lambda: R(ZEROS, dt=1, state_names=["a", "rad/s", "c"]), "state_names holds 'rad/s'; .* no '/'"),
-        (lambda: R(ZEROS, ZEROS[..., :1], 1, input_names=["time"]), "input_names holds 'time'; .* none of trajectory, time, sample, row_size"),
+        (
+            lambda: R(ZEROS, ZEROS[..., :1], 1, input_names=["time"]),
+            "input_names holds 'time'; .* none of trajectory, time, sample, row_size",
+        ),
         (lambda: R(pandas.DataFrame({"phi": [1.0]}), dt=1), "states is a DataFrame; give a list of arrays"),
         (lambda: R([[1.0, 2.0], [3.0, 4.0]], dt=1), "states has shape .2, 2.; give .trajectories, samples, channels."),
-        (lambda: R(np.ma.masked_equal(np.arange(10.0).reshape(1, 5, 2), 7), dt=1), "trajectory 0 is missing .masked. at sample 3 in column 1"),
-        (lambda: R([np.ma.masked_equal(np.arange(10.0).reshape(5, 2), 7)], dt=1), "trajectory 0 is missing .masked. at sample 3 in column 1"),
+        (
+            lambda: R(np.ma.masked_equal(np.arange(10.0).reshape(1, 5, 2), 7), dt=1),
+            "trajectory 0 is missing .masked. at sample 3 in column 1",
+        ),
+        (
+            lambda: R([np.ma.masked_equal(np.arange(10.0).reshape(5, 2), 7)], dt=1),
+            "trajectory 0 is missing .masked. at sample 3 in column 1",
+        ),
         (lambda: R(ZEROS + 1j, dt=1), "states cannot be read as numbers .they are complex128."),
         (lambda: R(None, dt=1), "states cannot be read as numbers"),
-        (lambda: R(ZEROS, dt=1, attributes={"when": np.datetime64("2020-01-01")}), "attribute 'when' holds .*, which JSON cannot hold"),
+        (
+            lambda: R(ZEROS, dt=1, attributes={"when": np.datetime64("2020-01-01")}),
+            "attribute 'when' holds .*, which JSON cannot hold",
+        ),
         (lambda: R(ZEROS, dt=1, attributes={"gap": [1.0, np.nan]}), "attribute 'gap' holds nan"),
         (lambda: R(ZEROS, dt=1, attributes={3: 1}), "the key 3"),
         (lambda: R(ZEROS, dt=1, attributes=[1]), "attributes is .1."),

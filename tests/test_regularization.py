@@ -108,14 +108,19 @@ def test_more_strength_is_less_solution(problem):
 def test_sparse_finds_a_planted_sparse_matrix_exactly():
     rng = np.random.default_rng(2)
     X = rng.uniform(-1, 1, (2000, 20)) * np.geomspace(1, 1e4, 20)
-    planted = np.where(rng.random((20, 6)) < 0.2, rng.choice([-1.0, 1.0, 2.0], (20, 6)), 0.0) / np.geomspace(1, 1e4, 20)[:, None]
+    planted = (
+        np.where(rng.random((20, 6)) < 0.2, rng.choice([-1.0, 1.0, 2.0], (20, 6)), 0.0)
+        / np.geomspace(1, 1e4, 20)[:, None]
+    )
     planted[:, 5] = 0
     noise = 1e-3 * rng.normal(size=(2000, 6))
     plain, sparse = solution("sparse", X, X @ planted + noise, 0.0), solution("sparse", X, X @ planted + noise, 0.05)
     assert np.all(plain[:, :5] != 0)
     assert np.array_equal(sparse[:, :5] != 0, planted[:, :5] != 0)
     # Without noise also to the last digits, since what is kept is fitted anew.
-    assert np.abs((solution("sparse", X, X @ planted, 0.05) - planted) * np.geomspace(1, 1e4, 20)[:, None]).max() <= 1e-12
+    assert (
+        np.abs((solution("sparse", X, X @ planted, 0.05) - planted) * np.geomspace(1, 1e4, 20)[:, None]).max() <= 1e-12
+    )
 
 
 def test_sparse_model_is_the_system_that_made_the_data():

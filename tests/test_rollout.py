@@ -62,7 +62,9 @@ def test_a_box_far_from_the_origin_is_not_its_mirror_image(cloud):
     hull = Hull(cloud + 10)
     inside = cloud[:, :1] + 10
     assert hull.nearest(inside) is inside
-    assert np.abs(hull.nearest(-inside) - inside).max() < 3 and np.abs(hull.nearest(np.zeros((3, 1))) - inside).max() < 3
+    assert (
+        np.abs(hull.nearest(-inside) - inside).max() < 3 and np.abs(hull.nearest(np.zeros((3, 1))) - inside).max() < 3
+    )
 
 
 def test_only_confined_channels_are_held(cloud):
@@ -107,12 +109,15 @@ def test_that_bound_is_the_extrapolations_merit(torque_data):
 @pytest.mark.parametrize("dictionary", BOUNDED, ids=str)
 def test_inside_the_data_both_extrapolations_are_the_same_bits(dictionary, predictor, torque_data):
     linear, functions = (
-        tras.KoopmanModel(dictionary, predictor, strength=1e-2, extrapolation=e).fit(torque_data) for e in ("linear", "functions")
+        tras.KoopmanModel(dictionary, predictor, strength=1e-2, extrapolation=e).fit(torque_data)
+        for e in ("linear", "functions")
     )
     assert np.array_equal(linear.koopman_matrix, functions.koopman_matrix)
     windows = torque_data.cut(101)
     a, b = linear.predict(windows), functions.predict(windows)
-    z = np.concatenate([(a - linear.x_offset_) / linear.x_scale_, (windows.inputs - linear.u_offset_) / linear.u_scale_], axis=-1)
+    z = np.concatenate(
+        [(a - linear.x_offset_) / linear.x_scale_, (windows.inputs - linear.u_offset_) / linear.u_scale_], axis=-1
+    )
     hull = linear.hull_
     t = (z - hull.centre[:, 0]) @ hull.axes
     # Well inside, so that the points between the samples are too.
@@ -198,7 +203,9 @@ def test_roll_out_abandons_only_what_left():
 @pytest.mark.parametrize("columns", ["all", "states"])
 def test_beyond_the_hull_a_model_follows_the_linear_one_of_its_data(columns, torque_data):
     model = tras.KoopmanModel(tras.Monomials(2), "one_step", strength=1e-2, columns=columns).fit(torque_data)
-    change = koopman.koopman_matrix(tras.Monomials(1).fit(np.zeros(4), np.zeros(2)), model.channels_.scaled(torque_data))[0] - np.eye(7)
+    change = koopman.koopman_matrix(
+        tras.Monomials(1).fit(np.zeros(4), np.zeros(2)), model.channels_.scaled(torque_data)
+    )[0] - np.eye(7)
     wanted = outward_rates(change, 4, model.dt_, 4)
     assert np.allclose(model.outward_, wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
     assert np.array_equal(model.outward_step_, over_a_sample(model.outward_, model.dt_))

@@ -158,7 +158,9 @@ def halves(torque_data):
 
 
 @pytest.mark.parametrize("predictor", ["vector_field", "one_step", "lifted_linear"])
-@pytest.mark.parametrize("regularization, strength", [(None, "auto"), ("shrink", 0.01), ("tikhonov", 1e-3), ("sparse", 1e-3)])
+@pytest.mark.parametrize(
+    "regularization, strength", [(None, "auto"), ("shrink", 0.01), ("tikhonov", 1e-3), ("sparse", 1e-3)]
+)
 def test_partial_fit_of_two_halves_is_a_fit_of_all(regularization, strength, predictor, halves):
     options = {"regularization": regularization, "strength": strength}
     parts = tras.KoopmanModel(tras.Monomials(2), predictor, **options).fit(halves[0])
@@ -197,12 +199,16 @@ def test_partial_fit_of_many_small_recordings(halves):
 
 def test_partial_fit_refuses_what_it_cannot(halves, tmp_path):
     model = tras.KoopmanModel(tras.Monomials(1), field="least_squares").partial_fit(halves[0])  # the first is a fit
-    with pytest.raises(ValueError, match="field is 'least_squares', which needs all data at once; use field='coordinates', or fit"):
+    with pytest.raises(
+        ValueError, match="field is 'least_squares', which needs all data at once; use field='coordinates', or fit"
+    ):
         model.partial_fit(halves[1])
     tras.KoopmanModel(tras.Monomials(1)).fit(halves[0]).save(tmp_path / "a.npz")
     with pytest.raises(ValueError, match="comes from a file.*fit anew"):
         tras.load_model(tmp_path / "a.npz").partial_fit(halves[1])
-    other = tras.Recording(halves[1].states, halves[1].inputs, 0.02, state_names=halves[1].state_names, input_names=TORQUES)
+    other = tras.Recording(
+        halves[1].states, halves[1].inputs, 0.02, state_names=halves[1].state_names, input_names=TORQUES
+    )
     with pytest.raises(ValueError, match="sampled at 0.02 s but the model at 0.01 s"):
         tras.KoopmanModel(tras.Monomials(1)).fit(halves[0]).partial_fit(other)
 
@@ -225,7 +231,10 @@ def test_dependent_functions_give_a_working_model_by_default_and_a_reason_withou
     # As good as without the repetition, which regularisation sees only as another weight.
     once = tras.KoopmanModel(tras.GaussianRBF(centres=repeated().centres[::2]), predictor).fit(torque_data)
     assert model.score(torque_data) == pytest.approx(once.score(torque_data), rel=0.2)
-    with pytest.raises(ValueError, match="15 functions are linearly dependent on this data .numerical rank 11; gauss.*truncated or regularised"):
+    with pytest.raises(
+        ValueError,
+        match="15 functions are linearly dependent on this data .numerical rank 11; gauss.*truncated or regularised",
+    ):
         tras.KoopmanModel(repeated(), predictor, regularization=None).fit(torque_data)
     with pytest.raises(ValueError, match="linearly dependent"):
         tras.KoopmanModel(repeated(), predictor, strength=0.0).fit(torque_data)
@@ -236,9 +245,15 @@ def test_collinear_channels_are_named(regularization, torque_data):
     u = torque_data.inputs
     for third, culprits in ((2 * u[..., :1] - 1, {"u_phi", "twin"}), (u @ [[1.0], [-3.0]], {"u_phi", "u_psi", "twin"})):
         recording = tras.Recording(
-            torque_data.states, np.concatenate([u, third], axis=-1), 0.01, state_names=torque_data.state_names, input_names=[*TORQUES, "twin"]
+            torque_data.states,
+            np.concatenate([u, third], axis=-1),
+            0.01,
+            state_names=torque_data.state_names,
+            input_names=[*TORQUES, "twin"],
         )
-        with pytest.raises(ValueError, match="are linearly dependent over the whole recording: leave one out with recording.select") as caught:
+        with pytest.raises(
+            ValueError, match="are linearly dependent over the whole recording: leave one out with recording.select"
+        ) as caught:
             tras.KoopmanModel(tras.Monomials(2), regularization=regularization).fit(recording)
         named = set(str(caught.value).removeprefix("the channels ").split(" are linearly")[0].split(", "))
         assert culprits <= named <= culprits | {"1"}
@@ -249,7 +264,9 @@ def test_fewer_pairs_than_functions(regularization):
     """Without regularisation a reason; with it a model, whose rank says what the data hold."""
     few = linear_system([[0, 1], [-2, -0.5]], [[0], [1]], 0.1, trajectories=1, samples=16)[0]
     if regularization is None:
-        with pytest.raises(ValueError, match="15 snapshot pairs cannot determine 20 functions; record at least 20 pairs"):
+        with pytest.raises(
+            ValueError, match="15 snapshot pairs cannot determine 20 functions; record at least 20 pairs"
+        ):
             tras.KoopmanModel(tras.Monomials(3), "one_step", regularization=None).fit(few)
     else:
         model = tras.KoopmanModel(tras.Monomials(3), "one_step", strength=0.1).fit(few)

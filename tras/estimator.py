@@ -33,7 +33,9 @@ class Channels:
         object.__setattr__(self, "delayed_inputs", bool(self.delayed_inputs and self.delays and self.input_names))
 
     @classmethod
-    def of(cls, recording: Recording, ranges: dict | None = None, delays: int = 0, delayed_inputs: bool = False) -> "Channels":
+    def of(
+        cls, recording: Recording, ranges: dict | None = None, delays: int = 0, delayed_inputs: bool = False
+    ) -> "Channels":
         """Those of a recording, scaled by ``ranges`` (channel -> (lowest, highest)) or by its own.
 
         Raises
@@ -63,7 +65,9 @@ class Channels:
         return self._over_delays(self.x_scale, self.u_scale)
 
     def _over_delays(self, of_states, of_inputs):
-        return np.concatenate([np.tile(of_states, self.delays + 1), np.tile(of_inputs, self.delays * self.delayed_inputs)])
+        return np.concatenate(
+            [np.tile(of_states, self.delays + 1), np.tile(of_inputs, self.delays * self.delayed_inputs)]
+        )
 
     def matched(self, recording) -> Recording:
         """A recording, or a sequence of them, with these channels in this order.
@@ -75,7 +79,9 @@ class Channels:
         """
         recording = join(recording).select(states=self.state_names, inputs=self.input_names)
         if abs(recording.dt - self.dt) > 1e-9 * self.dt:
-            raise ValueError(f"the recording is sampled at {recording.dt:g} s but the model at {self.dt:g} s; resample or fit again.")
+            raise ValueError(
+                f"the recording is sampled at {recording.dt:g} s but the model at {self.dt:g} s; resample or fit again."
+            )
         return recording
 
     def scaled(self, recording: Recording) -> Recording:
@@ -89,7 +95,9 @@ class Channels:
         u = np.empty((*x.shape[:-1], 0)) if u is None else np.asarray(u, dtype=float)
         offset, m = self.z_offset, len(self.input_names)
         if x.ndim == 0 or x.shape[-1] != len(offset) or u.shape != (*x.shape[:-1], m):
-            raise ValueError(f"x has shape {x.shape} and u {u.shape}; give (..., {len(offset)}) and (..., {m}) with the same leading axes.")
+            raise ValueError(
+                f"x has shape {x.shape} and u {u.shape}; give (..., {len(offset)}) and (..., {m}) with the same leading axes."
+            )
         return (x - offset) / self.z_scale, (u - self.u_offset) / self.u_scale
 
 
@@ -146,7 +154,9 @@ class Estimator(BaseEstimator):
             needed = f"(..., {d + 1}, {n}), the first {d + 1} samples of" if d else f"(..., {n}):"
             raise ValueError(f"x0 has shape {shape}; give {needed} {states}.")
         if inputs.ndim < 2 or inputs.shape[-1] != m or inputs.shape[-2] < d + 1:
-            raise ValueError(f"inputs has shape {inputs.shape}; give (..., samples, {m}), {d + 1} samples or more: {channels}.")
+            raise ValueError(
+                f"inputs has shape {inputs.shape}; give (..., samples, {m}), {d + 1} samples or more: {channels}."
+            )
         if not (np.isfinite(x0).all() and np.isfinite(inputs).all()):
             raise ValueError("x0 or inputs holds NaN or infinity; repair them first.")
         batch = np.broadcast_shapes(x0.shape[:-2], inputs.shape[:-2])
@@ -203,9 +213,13 @@ def checked(ranges: dict | None, recording) -> dict | None:
         try:
             low, high = map(float, ranges[name])
         except (KeyError, TypeError, ValueError):
-            raise ValueError(f"ranges holds no pair (lowest, highest) for the channel {name!r}; give one for each channel.") from None
+            raise ValueError(
+                f"ranges holds no pair (lowest, highest) for the channel {name!r}; give one for each channel."
+            ) from None
         if not (np.isfinite([low, high]).all() and low < high):
-            raise ValueError(f"ranges has ({low:g}, {high:g}) for the channel {name!r}; give two finite numbers, the lower one first.")
+            raise ValueError(
+                f"ranges has ({low:g}, {high:g}) for the channel {name!r}; give two finite numbers, the lower one first."
+            )
         pairs[name] = low, high
     return pairs
 

@@ -62,7 +62,9 @@ class Fit:
         x, u = (np.concatenate(part) for part in zip(*new.channels.scaled(recording)))
         new.lifts_inputs, new.rows = predictor.lifts_inputs, predictor.rows(options.columns)
         new.dictionary = clone(options.dictionary).fit(x, u if new.lifts_inputs else None)
-        new.names = new.dictionary.feature_names(new.channels.z_names + new.lifts_inputs * list(new.channels.input_names))
+        new.names = new.dictionary.feature_names(
+            new.channels.z_names + new.lifts_inputs * list(new.channels.input_names)
+        )
         new.confines = options.extrapolation == "linear" and new.lifts_inputs and new.tail > 0
         new.chooses = options.regularization is not None and options.strength == "auto" and new.tail > 0
         held = len(u) < 2 or np.mean((u[1:] == u[:-1]).all(axis=1)) > 0.5
@@ -79,13 +81,20 @@ class Fit:
     @property
     def tail(self) -> int:
         """Number of functions behind constant, states and inputs."""
-        return len(self.names) - len(self.dictionary.coordinates) - 1 - self.lifts_inputs * len(self.channels.input_names)
+        return (
+            len(self.names) - len(self.dictionary.coordinates) - 1 - self.lifts_inputs * len(self.channels.input_names)
+        )
 
     def absorb(self, scaled, threads=None, most=None):
         """All snapshot pairs of scaled trajectories, or the first ``most`` blocks of them."""
-        blocks = koopman.snapshot_pairs(scaled, koopman.block_size(self.dictionary), deal=koopman.SUIT if self.shares else 1)
+        blocks = koopman.snapshot_pairs(
+            scaled, koopman.block_size(self.dictionary), deal=koopman.SUIT if self.shares else 1
+        )
         blocks = map(self._widen_hull, itertools.islice(blocks, most))
-        lift, regressors = koopman.lifting(self.dictionary, self.rows), koopman.regressors_alone(self.dictionary, self.rows)
+        lift, regressors = (
+            koopman.lifting(self.dictionary, self.rows),
+            koopman.regressors_alone(self.dictionary, self.rows),
+        )
         self.solver.update_lifted(blocks, lift, threads or processors(), regressors)
 
     def _widen_hull(self, block):
@@ -138,7 +147,9 @@ class Fit:
         n, head = len(self.dictionary.coordinates), self._head(least_squares)
         states = slice(None) if self.rows is koopman.state_rows else slice(1, 1 + n)
         change = np.zeros((head, 1 + n))
-        change[:, 1:] = linalg.solve_triangular(least_squares.R[:head, :head], least_squares.rotated[:head, states], check_finite=False)
+        change[:, 1:] = linalg.solve_triangular(
+            least_squares.R[:head, :head], least_squares.rotated[:head, states], check_finite=False
+        )
         return outward_rates(change, n, self.channels.dt, len(self.channels.state_names))
 
     def _head(self, least_squares):
@@ -154,7 +165,8 @@ class Fit:
 def rows_and_hull(state, confined=None) -> tuple[StreamingLeastSquares | None, Hull | None]:
     """Solver and hull of a `Fit.state`, None what is not in it; a damaged one raises what indexing and numpy raise."""
     solver, hull = (
-        {key.partition(".")[2]: value for key, value in state.items() if key.startswith(f"{kind}.")} for kind in ("solver", "hull")
+        {key.partition(".")[2]: value for key, value in state.items() if key.startswith(f"{kind}.")}
+        for kind in ("solver", "hull")
     )
     free = Hull.unconfined(len(hull.get("low", ())), confined)
     return StreamingLeastSquares.from_state(solver) if solver else None, Hull.restored(hull, free) if hull else None
@@ -165,7 +177,11 @@ def hold_out(recording):
 
     With fewer than five trajectories each is cut first. (recording, None) if there is too little to hold anything out.
     """
-    parts = recording if len(recording) >= 5 else recording.cut_all(max(2, -(-int(recording.lengths.max() - 1) // (5 + 1)) + 1))
+    parts = (
+        recording
+        if len(recording) >= 5
+        else recording.cut_all(max(2, -(-int(recording.lengths.max() - 1) // (5 + 1)) + 1))
+    )
     if len(parts) < 5 or np.median(parts.lengths) < 10:
         return recording, None
     fifth = np.arange(len(parts)) % 5 == 4

@@ -66,7 +66,9 @@ class Hull:
         with np.errstate(divide="ignore", invalid="ignore"):  # data without any extent along an axis: never told so
             inward = np.where(np.isinf(self.upper), 0.0, 2 / (self.upper - self.lower))
             self._to_cube = inward * self.axes.T
-            self._cube_shift = -inward * (self.axes.T @ self.centre + np.where(np.isinf(self.upper), 0.0, (self.lower + self.upper) / 2))
+            self._cube_shift = -inward * (
+                self.axes.T @ self.centre + np.where(np.isinf(self.upper), 0.0, (self.lower + self.upper) / 2)
+            )
         return self
 
     def nearest(self, z):

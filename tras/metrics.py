@@ -104,7 +104,9 @@ def nrmse(true, predicted, *, range_over="all", span=None):
     if range_over != "trajectory":
         raise ValueError(f"range_over is {range_over!r}; choose 'all' or 'trajectory'.")
     if span is not None:
-        raise ValueError("span is given and range_over is 'trajectory', which takes each trajectory's own; give one of the two.")
+        raise ValueError(
+            "span is given and range_over is 'trajectory', which takes each trajectory's own; give one of the two."
+        )
     spans = [_positive(np.ptp(t, axis=0), f"the truth of trajectory {i} is constant") for i, t in enumerate(true)]
     each = np.array([np.mean(((t - p) / width) ** 2, axis=0) for t, p, width in zip(true, predicted, spans)])
     return 100 * np.sqrt(np.mean(each, axis=0))
@@ -149,14 +151,20 @@ def _trajectories(name, values):
         try:
             values = np.asarray(values, dtype=float)
         except (TypeError, ValueError) as error:
-            raise ValueError(f"{name} is no set of trajectories ({error}); give (..., samples, n) or a list of (samples, n).") from error
+            raise ValueError(
+                f"{name} is no set of trajectories ({error}); give (..., samples, n) or a list of (samples, n)."
+            ) from error
         if values.size == 0:
             raise ValueError(f"{name} has shape {values.shape}: it holds no sample; give one trajectory or more.")
         if values.ndim < 2:
-            raise ValueError(f"{name} has shape {values.shape}, no set of trajectories; give (..., samples, n) or a list of (samples, n).")
+            raise ValueError(
+                f"{name} has shape {values.shape}, no set of trajectories; give (..., samples, n) or a list of (samples, n)."
+            )
         values = list(values.reshape(-1, *values.shape[-2:]))
     if len({value.shape[1] for value in values}) > 1 or min(value.size for value in values) == 0:
-        raise ValueError(f"{name} holds trajectories without samples or with unequal numbers of channels; give a list of (samples, n).")
+        raise ValueError(
+            f"{name} holds trajectories without samples or with unequal numbers of channels; give a list of (samples, n)."
+        )
     return values
 
 
@@ -165,7 +173,9 @@ def _pair(true, predicted):
     true, predicted = _trajectories("true", true), _trajectories("predicted", predicted)
     shapes = [t.shape for t in true], [p.shape for p in predicted]
     if shapes[0] != shapes[1]:
-        raise ValueError(f"true and predicted have different shapes ({_some(shapes[0])} and {_some(shapes[1])}); compare like with like.")
+        raise ValueError(
+            f"true and predicted have different shapes ({_some(shapes[0])} and {_some(shapes[1])}); compare like with like."
+        )
     if not np.isfinite(np.concatenate(true)).all():
         i, t = next((i, t) for i, t in enumerate(true) if not np.isfinite(t).all())
         sample, channel = np.argwhere(~np.isfinite(t))[0]
@@ -187,7 +197,9 @@ def _some(shapes):
 
 def _positive(scale, what):
     if np.any(scale == 0):
-        raise ValueError(f"channel {int(np.argmin(scale))}: {what}, so there is nothing to relate the error to; leave the channel out.")
+        raise ValueError(
+            f"channel {int(np.argmin(scale))}: {what}, so there is nothing to relate the error to; leave the channel out."
+        )
     return scale
 
 

@@ -161,7 +161,11 @@ class KoopmanModel(Estimator):
     def _conclude(self, fit, scaled, held, threads=None):
         """The strength by ``held``, which was not absorbed yet, if there is any; then the solution of all rows."""
         if fit is not getattr(self, "_fit", None):
-            for name in [name for name in vars(self) if name.endswith("_") or name in ("koopman_matrix", "generator", "condition_number")]:
+            for name in [
+                name
+                for name in vars(self)
+                if name.endswith("_") or name in ("koopman_matrix", "generator", "condition_number")
+            ]:
                 delattr(self, name)  # of an earlier fit
         vars(self).pop("refinement_", None)  # of a W that is replaced now (`tras.refine`)
         self._fit, self.fitted_as_ = fit, (self.predictor, self.delays)
@@ -226,10 +230,15 @@ class KoopmanModel(Estimator):
         """
         if self.predictor != "vector_field":
             self.require_fitted()
-            raise ValueError(f"predictor is {self.predictor!r}, which has no vector field; fit with predictor='vector_field'.")
+            raise ValueError(
+                f"predictor is {self.predictor!r}, which has no vector field; fit with predictor='vector_field'."
+            )
         field = self.map()
         x, u = self.channels_.points(x, u)
-        z = np.concatenate([x.reshape(-1, x.shape[-1]), u.reshape(-1, u.shape[-1])] if u.shape[-1] else [x.reshape(-1, x.shape[-1])], axis=1)
+        z = np.concatenate(
+            [x.reshape(-1, x.shape[-1]), u.reshape(-1, u.shape[-1])] if u.shape[-1] else [x.reshape(-1, x.shape[-1])],
+            axis=1,
+        )
         return field(z.T).T.reshape(x.shape) * self.channels_.z_scale
 
     def map(self):
@@ -268,9 +277,13 @@ class KoopmanModel(Estimator):
         if self.strength != "auto" and not (number and 0 <= self.strength < math.inf):
             raise ValueError(f"strength is {self.strength!r}; give 'auto' or a number that is not negative.")
         if not isinstance(self.stable, (bool, int, float)) or not 0 <= self.stable <= 1:
-            raise ValueError(f"stable is {self.stable!r}; give True, False, or a spectral radius between 0 and 1, for example 0.999.")
+            raise ValueError(
+                f"stable is {self.stable!r}; give True, False, or a spectral radius between 0 and 1, for example 0.999."
+            )
         if self.columns == "states" and self.predictor != "one_step":
-            raise ValueError(f"columns='states' needs predictor='one_step', but it is {self.predictor!r}, which needs all of K; use columns='all'.")
+            raise ValueError(
+                f"columns='states' needs predictor='one_step', but it is {self.predictor!r}, which needs all of K; use columns='all'."
+            )
         if self.stable and self.predictor != "lifted_linear":
             raise ValueError(f"stable={self.stable!r} needs predictor='lifted_linear', but it is {self.predictor!r}.")
 
@@ -286,20 +299,28 @@ class KoopmanModel(Estimator):
     @property
     def state_columns(self):
         """The states' columns of K, (N, n')."""
-        return self.koopman_matrix if self.columns == "states" else self.koopman_matrix[:, 1 : 1 + len(self.dictionary_.coordinates)]
+        return (
+            self.koopman_matrix
+            if self.columns == "states"
+            else self.koopman_matrix[:, 1 : 1 + len(self.dictionary_.coordinates)]
+        )
 
     def require_all_columns(self):
         """A ValueError unless the model is fitted and knows all of K."""
         self.require_fitted()
         if self.columns == "states":
-            raise ValueError("columns is 'states', so the other columns of K and its eigenvalues are not known; fit with columns='all'.")
+            raise ValueError(
+                "columns is 'states', so the other columns of K and its eigenvalues are not known; fit with columns='all'."
+            )
 
     def _simulate_scaled(self, x, u):
         d = self.delays
         past = [u[:, :d][:, ::-1].reshape(len(u), -1)] if self.channels_.delayed_inputs else []
         z = np.concatenate([x[:, ::-1].reshape(len(x), -1), *past], axis=1)
         # The layout in memory decides the last bits of the products.
-        states = self._predictor.roll_out(self, np.ascontiguousarray(z).T, np.ascontiguousarray(u[:, d:]).transpose(1, 2, 0))
+        states = self._predictor.roll_out(
+            self, np.ascontiguousarray(z).T, np.ascontiguousarray(u[:, d:]).transpose(1, 2, 0)
+        )
         return np.concatenate([x[:, :d], states[:, : len(self.state_names_)].transpose(2, 0, 1)], axis=1)
 
 

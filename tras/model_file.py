@@ -17,7 +17,18 @@ from tras.workflow.provenance import versions
 _FORMAT = "tras model 2"
 # What reading a damaged file, and making something of what it holds, may raise.
 UNREADABLE = (OSError, EOFError, KeyError, TypeError, AttributeError, IndexError, ValueError, zipfile.BadZipFile)
-_HEADER = ("dt", "fitted_as", "state_names", "state_units", "input_names", "input_units", "names", "pairs", "rank", "strength")
+_HEADER = (
+    "dt",
+    "fitted_as",
+    "state_names",
+    "state_units",
+    "input_names",
+    "input_units",
+    "names",
+    "pairs",
+    "rank",
+    "strength",
+)
 _ARRAYS = (
     "koopman_matrix", "generator", "W_", "B_", "condition_number", "residual_", "field_disagreement_", "substeps_",
     "x_offset_", "x_scale_", "u_offset_", "u_scale_", "outward_", "outward_step_", "log_residual_", "refinement_",
@@ -30,7 +41,12 @@ def save(model, path):
     """See `tras.KoopmanModel.save`."""
     arrays = {key: value for key in _ARRAYS if (value := getattr(model, key, None)) is not None}
     parameters = {key: value for key, value in model.get_params(deep=False).items() if key != "dictionary"}
-    header = {"format": _FORMAT, "versions": versions(), "parameters": parameters, **{key: getattr(model, key + "_") for key in _HEADER}}
+    header = {
+        "format": _FORMAT,
+        "versions": versions(),
+        "parameters": parameters,
+        **{key: getattr(model, key + "_") for key in _HEADER},
+    }
     if hasattr(model, "errors_"):
         header["errors"] = [[float(key), float(value)] for key, value in model.errors_.items()]
     if model.hull_ is not None:
@@ -49,7 +65,9 @@ def load(path, make):
     try:
         return make(*_restored(*read_npz(path, _FORMAT)))
     except UNREADABLE as error:
-        raise ValueError(f"{path} cannot be read as a model ({error}); save it again with KoopmanModel.save.") from error
+        raise ValueError(
+            f"{path} cannot be read as a model ({error}); save it again with KoopmanModel.save."
+        ) from error
 
 
 def read_npz(path, form):
@@ -67,17 +85,23 @@ def _restored(header, arrays):
     parameters, dictionary = header["parameters"], _unpack(header["dictionary"], "dictionary", arrays)
     attributes = {"hull_": None, "outward_": None, "outward_step_": None}
     if "hull.centre" in arrays:
-        attributes["hull_"] = Hull.restored({key: arrays.pop(f"hull.{key}") for key in ("centre", "axes", "low", "high")}, header["free"])
+        attributes["hull_"] = Hull.restored(
+            {key: arrays.pop(f"hull.{key}") for key in ("centre", "axes", "low", "high")}, header["free"]
+        )
     if "errors" in header:
         attributes["errors_"] = dict(map(tuple, header["errors"]))
-    header = {key: tuple(value) if isinstance(value := header[key], list) and key != "names" else value for key in _HEADER}
+    header = {
+        key: tuple(value) if isinstance(value := header[key], list) and key != "names" else value for key in _HEADER
+    }
     attributes |= {f"{key}_": value for key, value in header.items() if key not in _LABELS}
     for key, value in arrays.items():
         if key not in _ARRAYS:
             raise ValueError(f"it holds {key!r}, which is no part of a model")
         attributes[key] = value.item() if value.ndim == 0 else value
     needed = {"koopman_matrix", *(f"{key}_" for key in _SCALES)}
-    needed |= {"vector_field": {"W_", "substeps_", "generator"}, "lifted_linear": {"B_"}}.get(parameters["predictor"], set())
+    needed |= {"vector_field": {"W_", "substeps_", "generator"}, "lifted_linear": {"B_"}}.get(
+        parameters["predictor"], set()
+    )
     if not needed <= set(arrays):
         raise ValueError(f"it lacks {sorted(needed - set(arrays))[0]!r}")
     scales = {key: attributes.pop(f"{key}_") for key in _SCALES}
@@ -90,7 +114,9 @@ def _pack(dictionary, place, arrays):
     """A fitted dictionary as JSON holds it, its learnt arrays put into ``arrays`` under names that begin with ``place``."""
     name = type(dictionary).__name__
     if KINDS.get(name) is not type(dictionary):
-        raise ValueError(f"dictionary {name!r} is not one of this package, so a file with it could not be read; keep the code that makes it.")
+        raise ValueError(
+            f"dictionary {name!r} is not one of this package, so a file with it could not be read; keep the code that makes it."
+        )
     header = {"name": name, "parameters": {}}
     for key, value in dictionary.get_params(deep=False).items():
         if isinstance(value, np.generic):
@@ -98,7 +124,9 @@ def _pack(dictionary, place, arrays):
         if key in ("positions", "velocities", "shape") and value is not None:
             value = [int(i) for i in value]
         # What the parts, a Generator or an array of centres led to is among the learnt.
-        header["parameters"][key] = value if value is None or isinstance(value, (bool, int, float, str, list)) and key != "parts" else None
+        header["parameters"][key] = (
+            value if value is None or isinstance(value, (bool, int, float, str, list)) and key != "parts" else None
+        )
     for key, value in vars(dictionary).items():
         if key == "parts_":
             header["parts"] = [_pack(part, f"{place}.{i}", arrays) for i, part in enumerate(value)]
@@ -120,7 +148,9 @@ def _unpack(header, place, arrays):
         value = arrays.pop(key)
         setattr(dictionary, key.rpartition(".")[2], value.item() if value.ndim == 0 else value)
     if hasattr(dictionary, "centres_") and None in (dictionary.seed, dictionary.centres):
-        dictionary.centres = dictionary.centres_  # drawn by a Generator, or given: fitted again, the model has the same ones
+        dictionary.centres = (
+            dictionary.centres_
+        )  # drawn by a Generator, or given: fitted again, the model has the same ones
         dictionary.seed = 0 if dictionary.seed is None else dictionary.seed
     return dictionary.restore()
 

@@ -106,7 +106,9 @@ def save_figure(figure, table, stem):
     if not isinstance(figure, Figure):
         raise TypeError(f"figure must be a matplotlib Figure, not {type(figure).__name__}.")
     if not isinstance(table, pd.DataFrame):
-        raise TypeError(f"table must be a pandas DataFrame with the numbers behind the figure, not {type(table).__name__}.")
+        raise TypeError(
+            f"table must be a pandas DataFrame with the numbers behind the figure, not {type(table).__name__}."
+        )
     stem = Path(stem)
     # The suffix is appended by hand: Path.with_suffix would cut a stem such as "error_0.5s".
     finals = [stem.with_name(f"{stem.name}.{suffix}") for suffix in ("pdf", "svg", "png", "csv")]
@@ -150,7 +152,10 @@ def excitation_figure(table):
     """
     require(table, "table", ["time", "phi_ref", "phi", "psi_ref", "psi", "u_phi", "u_psi"])
     figure, (pitch, yaw, torque) = new_figure(height=3.6, rows=3)
-    for axes, angle, colour, label in ((pitch, "phi", PITCH_COLOUR, r"pitch $\phi$ (rad)"), (yaw, "psi", YAW_COLOUR, r"yaw $\psi$ (rad)")):
+    for axes, angle, colour, label in (
+        (pitch, "phi", PITCH_COLOUR, r"pitch $\phi$ (rad)"),
+        (yaw, "psi", YAW_COLOUR, r"yaw $\psi$ (rad)"),
+    ):
         axes.plot(table["time"], table[angle], color=colour, linestyle="-", label="response")
         axes.plot(table["time"], table[f"{angle}_ref"], **TRUTH, label="reference")
         axes.set_ylabel(label)
@@ -176,7 +181,11 @@ def overlay_figure(table):
     -------
     matplotlib.figure.Figure
     """
-    require(table, "table", ["input", "time", *(f"{q}_{who}" for q in ("psi", "phi") for who in ("true", "koopman", "linear"))])
+    require(
+        table,
+        "table",
+        ["input", "time", *(f"{q}_{who}" for q in ("psi", "phi") for who in ("true", "koopman", "linear"))],
+    )
     inputs = list(dict.fromkeys(table["input"]))
     figure, axes = new_figure(height=2.9, rows=2, columns=len(inputs), squeeze=False)
     for column, name in zip(axes.T, inputs):
@@ -217,7 +226,9 @@ def spectrum_figure(table):
         discrete.plot(group["real"], group["imag"], linestyle="none", label=label, **style)
         continuous.plot(group["rate_real"], group["rate_imag"], linestyle="none", **style)
     low = min(table["real"].min(), 1) - reach / 4
-    discrete.set(xlabel="real part", ylabel="imaginary part", ylim=(-reach, reach), xlim=(low, table["real"].max() + reach / 4))
+    discrete.set(
+        xlabel="real part", ylabel="imaginary part", ylim=(-reach, reach), xlim=(low, table["real"].max() + reach / 4)
+    )
     discrete.set_title("$K$, and the unit circle", fontsize=8.6)
     continuous.set(xlabel="real part (1/s)", ylabel="imaginary part (1/s)")
     continuous.margins(0.1)
@@ -252,7 +263,9 @@ def horizon_figure(table):
     for panel in axes[-1]:
         panel.set_xlabel("time ahead (s)")
     axes[0, 0].yaxis.set_major_formatter("{x:g}")  # 0.1, not a power with an index too small to read
-    axes[0, 0].set_ylim(bottom=max(table["nrmse"].min(), 3e-5))  # the first instants of a good model would squeeze the rest
+    axes[0, 0].set_ylim(
+        bottom=max(table["nrmse"].min(), 3e-5)
+    )  # the first instants of a good model would squeeze the rest
     figure.supylabel("root mean square error (% of range)", fontsize=8)
     fullest = max(axes.flat, key=lambda panel: len(panel.lines))
     figure.legend(*fullest.get_legend_handles_labels(), loc="outside lower center", ncols=2, columnspacing=1.2)

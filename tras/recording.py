@@ -48,7 +48,16 @@ class Recording:
     # No attribute `shape` here: with __len__ and __getitem__ alone scikit-learn splits a recording by trajectories.
 
     def __init__(
-        self, states, inputs=None, dt=None, *, state_names=None, input_names=None, state_units=None, input_units=None, attributes=None
+        self,
+        states,
+        inputs=None,
+        dt=None,
+        *,
+        state_names=None,
+        input_names=None,
+        state_units=None,
+        input_units=None,
+        attributes=None,
     ):
         self.dt = _number(dt)
         if not (math.isfinite(self.dt) and self.dt > 0):
@@ -60,10 +69,14 @@ class Recording:
             inputs = [np.empty((len(x), 0)) for x in self._states]
         self._inputs = _trajectories("inputs", inputs)
         if len(self._inputs) != len(self._states):
-            raise ValueError(f"inputs has {len(self._inputs)} trajectories but states has {len(self._states)}; give one for one.")
+            raise ValueError(
+                f"inputs has {len(self._inputs)} trajectories but states has {len(self._states)}; give one for one."
+            )
         for i, (x, u) in enumerate(zip(self._states, self._inputs)):
             if len(x) != len(u):
-                raise ValueError(f"trajectory {i} has {len(x)} samples of states but {len(u)} of inputs; they must be equal.")
+                raise ValueError(
+                    f"trajectory {i} has {len(x)} samples of states but {len(u)} of inputs; they must be equal."
+                )
         if self._states[0].shape[1] == 0:
             raise ValueError("states has no channel; give at least one.")
         self.state_names, self.state_units = _labels("state", "x", self._states, state_names, state_units)
@@ -154,7 +167,9 @@ class Recording:
         """
         samples = whole_number("samples", samples)
         if samples < 2 or samples > self.lengths.max():
-            raise ValueError(f"samples = {samples}; pieces need 2 to {self.lengths.max()} samples, the longest trajectory's length.")
+            raise ValueError(
+                f"samples = {samples}; pieces need 2 to {self.lengths.max()} samples, the longest trajectory's length."
+            )
         starts = [(x, u, k) for x, u in self for k in range(0, len(x) - samples + 1, samples - 1)]
         return self.with_data([x[k : k + samples] for x, _, k in starts], [u[k : k + samples] for _, u, k in starts])
 
@@ -187,11 +202,15 @@ class Recording:
             return self
         if self.lengths.min() <= delays:
             i = int(np.argmin(self.lengths))
-            raise ValueError(f"trajectory {i} has {self.lengths[i]} samples, too few for {delays} delays; leave it out or use fewer delays.")
+            raise ValueError(
+                f"trajectory {i} has {self.lengths[i]} samples, too few for {delays} delays; leave it out or use fewer delays."
+            )
         past = range(1, delays + 1)
         states, held = [], []
         for x, u in self:
-            earlier = [x[delays - k : len(x) - k] for k in past] + ([u[delays - k : len(u) - k] for k in past] if inputs else [])
+            earlier = [x[delays - k : len(x) - k] for k in past] + (
+                [u[delays - k : len(u) - k] for k in past] if inputs else []
+            )
             states.append(np.hstack([x[delays:], *earlier]))
             held.append(u[delays:])
         names, units = list(self.state_names), list(self.state_units)
@@ -211,7 +230,9 @@ class Recording:
         share = _number(fraction)
         first = round(share * len(self)) if math.isfinite(share) else 0
         if not 0 < first < len(self):
-            raise ValueError(f"fraction = {fraction} of {len(self)} trajectories leaves one side empty; change it, or cut() first.")
+            raise ValueError(
+                f"fraction = {fraction} of {len(self)} trajectories leaves one side empty; change it, or cut() first."
+            )
         order = np.random.default_rng(seed).permutation(len(self))
         return self[np.sort(order[:first])], self[np.sort(order[first:])]
 
@@ -220,7 +241,9 @@ class Recording:
         import pandas
 
         names = self.state_names + self.input_names
-        frame = pandas.DataFrame(np.hstack([np.concatenate(self._states), np.concatenate(self._inputs)]), columns=list(names))
+        frame = pandas.DataFrame(
+            np.hstack([np.concatenate(self._states), np.concatenate(self._inputs)]), columns=list(names)
+        )
         frame.insert(0, "time", np.concatenate([np.arange(k) * self.dt for k in self.lengths]))
         frame.insert(0, "trajectory", np.repeat(np.arange(len(self)), self.lengths))
         return frame
@@ -309,8 +332,14 @@ class Recording:
             raise
         except Exception as error:  # damaged files make the libraries below raise anything
             if path.suffix == ".nc" and not str(error).startswith(str(path)):
-                raise RecordingError(f"{path} cannot be read as a recording ({error}); make it again with Recording.write.") from error
-            what = str(error) if isinstance(error, ValueError) else f"it is damaged, or not what its suffix says ({type(error).__name__}: {error})"
+                raise RecordingError(
+                    f"{path} cannot be read as a recording ({error}); make it again with Recording.write."
+                ) from error
+            what = (
+                str(error)
+                if isinstance(error, ValueError)
+                else f"it is damaged, or not what its suffix says ({type(error).__name__}: {error})"
+            )
             raise RecordingError(what if what.startswith(str(path)) else f"{path}: {what}") from error
 
     def with_data(self, states, inputs, **labels):
@@ -338,7 +367,9 @@ def join(recordings):
     except TypeError:
         recordings = [recordings]
     if not recordings or not all(isinstance(r, Recording) for r in recordings):
-        raise ValueError(f"recording is {type(recordings[0]).__name__ if recordings else 'empty'}; give a tras.Recording or a sequence of them.")
+        raise ValueError(
+            f"recording is {type(recordings[0]).__name__ if recordings else 'empty'}; give a tras.Recording or a sequence of them."
+        )
     first = recordings[0]
     for i, other in enumerate(recordings[1:], start=1):
         require_alike(first, other, i)
@@ -349,20 +380,26 @@ def require_alike(first, other, i):
     """A ValueError if recording ``i`` has other channels or another sampling time than the first."""
     for label in ("dt", "state_names", "input_names"):
         if getattr(other, label) != getattr(first, label):
-            raise ValueError(f"recording {i} has {label} {getattr(other, label)} but the first has {getattr(first, label)}; make them alike.")
+            raise ValueError(
+                f"recording {i} has {label} {getattr(other, label)} but the first has {getattr(first, label)}; make them alike."
+            )
 
 
 def _trajectories(name, values):
     """A list of float arrays (samples_i, channels), our own and read-only."""
     if hasattr(values, "iloc"):
-        raise ValueError(f"{name} is a {type(values).__name__}; give a list of arrays (samples, channels), for one table [table.to_numpy()].")
+        raise ValueError(
+            f"{name} is a {type(values).__name__}; give a list of arrays (samples, channels), for one table [table.to_numpy()]."
+        )
     if isinstance(values, np.ndarray) and values.ndim == 2:
         raise ValueError(_ONE_TOO_FEW.format(name, values.shape))
     try:
         values = list(values)
         arrays = [_own(value) for value in values]
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{name} cannot be read as numbers ({error}); give real numbers in arrays of shape (samples, channels).") from error
+        raise ValueError(
+            f"{name} cannot be read as numbers ({error}); give real numbers in arrays of shape (samples, channels)."
+        ) from error
     if arrays and all(array.ndim == 1 for array in arrays):
         raise ValueError(_ONE_TOO_FEW.format(name, f"({len(arrays)}, {len(arrays[0])})"))
     for i, (array, value) in enumerate(zip(arrays, values)):
@@ -371,7 +408,9 @@ def _trajectories(name, values):
         if len(array) == 0:
             raise ValueError(f"{name}: trajectory {i} has no samples; leave it out.")
         if array.shape[1] != arrays[0].shape[1]:
-            raise ValueError(f"{name}: trajectory {i} has {array.shape[1]} channels but the first has {arrays[0].shape[1]}.")
+            raise ValueError(
+                f"{name}: trajectory {i} has {array.shape[1]} channels but the first has {arrays[0].shape[1]}."
+            )
         if np.ma.is_masked(value):
             sample, channel = np.argwhere(np.ma.getmaskarray(value))[0]
             raise ValueError(
@@ -407,7 +446,9 @@ def _labels(role, letter, trajectories, names, units):
                 raise ValueError(f"{role}_{kind} holds {label!r}; give strings.")
     for name in names:
         if not name or "/" in name or "\0" in name or name == "." or name in _RESERVED:
-            raise ValueError(f"{role}_names holds {name!r}; give names that are not empty, have no '/' and are none of {', '.join(_RESERVED)}.")
+            raise ValueError(
+                f"{role}_names holds {name!r}; give names that are not empty, have no '/' and are none of {', '.join(_RESERVED)}."
+            )
     if len(set(names)) != count:
         raise ValueError(f"{role}_names {names} repeat a name; every channel needs its own.")
     return names, units

@@ -78,7 +78,9 @@ def _sequential_thresholding(R, rotated, strength, rounds=10):
             active = keep
             D[:, j] = 0.0
             if active.any():
-                D[active, j] = linalg.lstsq(R[:, active] / norms[active], rotated[:, j], check_finite=False)[0] / norms[active]
+                D[active, j] = (
+                    linalg.lstsq(R[:, active] / norms[active], rotated[:, j], check_finite=False)[0] / norms[active]
+                )
     return D
 
 

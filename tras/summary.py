@@ -7,7 +7,9 @@ from tras import generator, metrics
 
 def describe(model, recording=None):
     """A few lines of text on a fitted model; with a recording in the model's channels, also how well it is predicted."""
-    return "\n".join([*_fit(model), *_dynamics(model), *(_prediction(model, recording) if recording is not None else [])])
+    return "\n".join(
+        [*_fit(model), *_dynamics(model), *(_prediction(model, recording) if recording is not None else [])]
+    )
 
 
 def _fit(model):
@@ -30,7 +32,9 @@ def _dynamics(model):
     if model.stable:
         others = np.delete(eigenvalues, np.argmin(np.abs(eigenvalues - 1)))
         largest = np.abs(others).max(initial=0.0)
-        lines.append(f"without the constant's one the largest modulus is {largest:.8f}; at most {float(model.stable):g} was asked for")
+        lines.append(
+            f"without the constant's one the largest modulus is {largest:.8f}; at most {float(model.stable):g} was asked for"
+        )
     if model.predictor == "vector_field":
         distance = generator.branch_distance(eigenvalues).min()
         lines += [
@@ -42,12 +46,16 @@ def _dynamics(model):
         lines.append(f"it differs from the field by coordinates by {apart} (root mean square)")
     if hasattr(model, "refinement_"):
         first, last = model.refinement_[[0, -1]]
-        lines.append(f"refined on whole trajectories: predictions miss the measurements by {last:.3g} times their noise, {first:.3g} before")
+        lines.append(
+            f"refined on whole trajectories: predictions miss the measurements by {last:.3g} times their noise, {first:.3g} before"
+        )
     return lines + _beyond(model)
 
 
 def _beyond(model):
-    return ["beyond the training data, plus a quarter, the model is linear and damped"] if model.hull_ is not None else []
+    return (
+        ["beyond the training data, plus a quarter, the model is linear and damped"] if model.hull_ is not None else []
+    )
 
 
 def _prediction(model, recording):

@@ -1,8 +1,8 @@
 """``make bench``: this package beside the field's, on the same data, with the same functions. See ``benchmarks/README.md``.
 
-    make bench                                                                whole, an hour, more on a busy machine
-    make bench BENCH="--peers deeptime --pairs 50000 --functions 84"          a part: printed, not published
-    make bench BENCH="--lock pykoop"                                          resolve a peer's lock file anew
+make bench                                                                whole, an hour, more on a busy machine
+make bench BENCH="--peers deeptime --pairs 50000 --functions 84"          a part: printed, not published
+make bench BENCH="--lock pykoop"                                          resolve a peer's lock file anew
 """
 
 import argparse
@@ -22,19 +22,39 @@ PAIRS, FUNCTIONS = [50_000, 500_000], [28, 84, 210, 506, 1006]
 
 
 def parser():
-    p = argparse.ArgumentParser(prog="make bench", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = argparse.ArgumentParser(
+        prog="make bench", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     p.add_argument("--peers", nargs="*", metavar="PEER", help=f"of {', '.join(PEERS)}; none without names")
-    p.add_argument("--pairs", nargs="+", type=int, metavar="M", help=f"snapshot pairs, default {' '.join(map(str, PAIRS))}")
+    p.add_argument(
+        "--pairs", nargs="+", type=int, metavar="M", help=f"snapshot pairs, default {' '.join(map(str, PAIRS))}"
+    )
     p.add_argument("--functions", nargs="+", type=int, metavar="N", help=f"default {' '.join(map(str, FUNCTIONS))}")
-    p.add_argument("--rolled", nargs="*", type=int, default=[84], metavar="N", help="functions with which to roll out, default 84; none without numbers")
-    p.add_argument("--memory", type=float, default=6, metavar="GIB", help="limit of a child's resident memory, default 6")
+    p.add_argument(
+        "--rolled",
+        nargs="*",
+        type=int,
+        default=[84],
+        metavar="N",
+        help="functions with which to roll out, default 84; none without numbers",
+    )
+    p.add_argument(
+        "--memory", type=float, default=6, metavar="GIB", help="limit of a child's resident memory, default 6"
+    )
     p.add_argument("--seconds", type=float, default=120, help="limit of a run, CPU seconds, default 120")
-    p.add_argument("--budget", type=float, default=40, help="CPU seconds for all runs of a measurement, default 40; at least one run")
+    p.add_argument(
+        "--budget",
+        type=float,
+        default=40,
+        help="CPU seconds for all runs of a measurement, default 40; at least one run",
+    )
     p.add_argument("--runs", type=int, default=5, help="at most, default 5")
     p.add_argument("--growth", action="store_true", help="only our own cost against pairs, functions and trajectories")
     p.add_argument("--anew", action="store_true", help="forget what was measured before")
     p.add_argument("--kept", action="store_true", help="measure nothing more: publish what was measured so far")
-    p.add_argument("--report", action="store_true", help="measure nothing: figures and tables from benchmarks/results/ again")
+    p.add_argument(
+        "--report", action="store_true", help="measure nothing: figures and tables from benchmarks/results/ again"
+    )
     p.add_argument("--lock", nargs="+", metavar="PEER", help="resolve these peers' lock files anew (needs uv) and end")
     return p
 
@@ -49,7 +69,9 @@ def checked(p, options):
             p.error(f"--pairs {pairs}: give multiples of 500 (whole trajectories), 1000 or more.")
     for functions in options.functions or []:
         if functions not in measure.data.DEGREES and functions <= measure.data.HEAD + 3:
-            p.error(f"--functions {functions}: give {', '.join(map(str, measure.data.DEGREES))} (monomials) or more than 10 (Gaussians).")
+            p.error(
+                f"--functions {functions}: give {', '.join(map(str, measure.data.DEGREES))} (monomials) or more than 10 (Gaussians)."
+            )
     for name in ("memory", "seconds", "budget", "runs"):
         if not getattr(options, name) > 0:
             p.error(f"--{name} {getattr(options, name):g}: give a positive number.")
@@ -84,7 +106,9 @@ def run(options):
     cells = [(pairs, functions) for pairs in options.pairs or PAIRS for functions in options.functions or FUNCTIONS]
     part = any(value is not None for value in (options.peers, options.pairs, options.functions))
     limits = measure.Limits(options.memory * 2**30, options.seconds, options.budget, options.runs)
-    steps = (0 if options.growth else len(cells) * len(methods)) + (0 if part else sum(map(len, measure.GROWTH.values())))
+    steps = (0 if options.growth else len(cells) * len(methods)) + (
+        0 if part else sum(map(len, measure.GROWTH.values()))
+    )
     with tqdm(total=steps, unit="", dynamic_ncols=True) as bar:
 
         def say(text):
@@ -94,7 +118,9 @@ def run(options):
         pythons, missing = prepared([] if options.growth or options.kept else peers, bar)
         bench = (Kept if options.kept else measure.Bench)(FOLDER, limits, pythons, missing)
         try:
-            compared = None if options.growth else pd.DataFrame(measure.compare(bench, methods, cells, options.rolled, say))
+            compared = (
+                None if options.growth else pd.DataFrame(measure.compare(bench, methods, cells, options.rolled, say))
+            )
             grown = None if part else pd.DataFrame(measure.grow(bench, say))
         finally:
             bench.forget_references()
@@ -131,7 +157,9 @@ def main(arguments=None):
         report.draw(report.RESULTS)
         report.publish(report.RESULTS, ROOT / "benchmarks" / "README.md")
     except KeyboardInterrupt:
-        print("\nInterrupted; what was measured is kept in build/bench, make bench goes on from there.", file=sys.stderr)
+        print(
+            "\nInterrupted; what was measured is kept in build/bench, make bench goes on from there.", file=sys.stderr
+        )
         return 130
     except (OSError, ValueError, RuntimeError) as error:
         print(error, file=sys.stderr)

@@ -29,7 +29,11 @@ LATER = 1000  # seeds from here on are rolled out, not fitted
 def experiment(seed, samples=SAMPLES):
     """States (trajectories, samples, 4) and torques (trajectories, samples, 2) of 500 s in closed loop."""
     reference = tras.multisine(500, 0.01, [0.2, 0.8], [1.22173, np.pi], np.random.default_rng(seed))
-    recording = tras.simulate_closed_loop(reference, 0.01, tras.PlantParameters()).select(inputs=["u_phi", "u_psi"]).cut(samples)
+    recording = (
+        tras.simulate_closed_loop(reference, 0.01, tras.PlantParameters())
+        .select(inputs=["u_phi", "u_psi"])
+        .cut(samples)
+    )
     return recording.states, recording.inputs
 
 
@@ -45,11 +49,15 @@ def trajectories(count, samples=SAMPLES, first=1):
 def functions(count, width=WIDTH):
     """What ``problem.json`` says of N functions, and their arrays: monomials where there are so many of a degree, Gaussians otherwise."""
     if count in DEGREES:
-        words = [w for k in range(DEGREES[count] + 1) for w in itertools.combinations_with_replacement(range(CHANNELS), k)]
+        words = [
+            w for k in range(DEGREES[count] + 1) for w in itertools.combinations_with_replacement(range(CHANNELS), k)
+        ]
         exponents = np.array([[word.count(i) for i in range(CHANNELS)] for word in words])
         return {"kind": "monomials", "degree": DEGREES[count]}, {"exponents": exponents}
     if count <= HEAD:
-        raise ValueError(f"functions is {count}; give one of {', '.join(map(str, DEGREES))} (monomials) or more than {HEAD} (Gaussians).")
+        raise ValueError(
+            f"functions is {count}; give one of {', '.join(map(str, DEGREES))} (monomials) or more than {HEAD} (Gaussians)."
+        )
     centres = np.random.default_rng(0).uniform(-1, 1, (count - HEAD, CHANNELS))
     return {"kind": "gaussians", "width": width}, {"centres": centres}
 
@@ -73,7 +81,10 @@ def write(folder, pairs, count, runs=100, samples=600, width=WIDTH):
     middle, half = zip(*(((v.max((0, 1)) + v.min((0, 1))) / 2, np.ptp(v, axis=(0, 1)) / 2) for v in (states, inputs)))
     arrays |= {"states": (states - middle[0]) / half[0], "inputs": (inputs - middle[1]) / half[1]}
     repeat = -(-runs // len(x0))
-    arrays |= {"x0": np.tile((x0[:, 0] - middle[0]) / half[0], (repeat, 1))[:runs], "u": np.tile((u - middle[1]) / half[1], (repeat, 1, 1))[:runs]}
+    arrays |= {
+        "x0": np.tile((x0[:, 0] - middle[0]) / half[0], (repeat, 1))[:runs],
+        "u": np.tile((u - middle[1]) / half[1], (repeat, 1, 1))[:runs],
+    }
     arrays["points"] = np.random.default_rng(1).uniform(-1, 1, (50, CHANNELS))
     about |= {"functions": count, "states": str(folder / "states.npy"), "inputs": str(folder / "inputs.npy")}
     for name, array in arrays.items():

@@ -50,7 +50,18 @@ def lock(name, run=subprocess.run):
     if not shutil.which("uv"):
         raise RuntimeError("locking needs uv, which was not found on PATH: python3 -m pip install uv.")
     overrides = PEERS / f"{name}.overrides"
-    command = ["uv", "pip", "compile", "--quiet", "--universal", "--python-version", "3.11", "--generate-hashes", "--no-header", "--no-emit-index-url"]
+    command = [
+        "uv",
+        "pip",
+        "compile",
+        "--quiet",
+        "--universal",
+        "--python-version",
+        "3.11",
+        "--generate-hashes",
+        "--no-header",
+        "--no-emit-index-url",
+    ]
     command += ["--no-emit-find-links", f"{name}.in", "--output-file", f"{name}.txt"]
     _quietly(name, run, command + (["--override", overrides.name] if overrides.is_file() else []), cwd=PEERS)
 

@@ -65,7 +65,9 @@ def refined(problem):
             K = Z[0] * scale[:, None]
             K[columns] += np.eye(problem.n)
             return K
-    raise RuntimeError(f"the reference did not converge in {MOST} rounds for {problem.functions} functions: they are too nearly dependent.")
+    raise RuntimeError(
+        f"the reference did not converge in {MOST} rounds for {problem.functions} functions: they are too nearly dependent."
+    )
 
 
 def error(found, exact):

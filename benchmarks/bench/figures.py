@@ -91,7 +91,9 @@ def growth_figure(table, fitted):
         part = good[good["against"] == against]
         for variant, rows in part.groupby("variant", sort=False):
             marker, colour, line = VARIANTS[variant]
-            slope = fitted[(fitted["quantity"] == quantity) & (fitted["against"] == against) & (fitted["variant"] == variant)]
+            slope = fitted[
+                (fitted["quantity"] == quantity) & (fitted["against"] == against) & (fitted["variant"] == variant)
+            ]
             text = variant.replace("_", " ")
             if len(slope):
                 found = slope.iloc[0]
@@ -99,7 +101,9 @@ def growth_figure(table, fitted):
                 text += f": exponent {found['exponent']:.2f}" + ("" if np.isnan(half) else f" ± {half:.2f}")
             panel.plot(rows[against], rows[column], marker=marker, color=colour, linestyle=line, label=text)
         if len(part):
-            _theory(panel, part, against, column, fitted[(fitted["quantity"] == quantity) & (fitted["against"] == against)])
+            _theory(
+                panel, part, against, column, fitted[(fitted["quantity"] == quantity) & (fitted["against"] == against)]
+            )
         panel.set(xscale="log", yscale="log", xlabel=name, ylabel=label)
         panel.legend(loc="best")
         _plain(panel)
@@ -135,7 +139,10 @@ def _lines(panel, part, column, label, title):
 
 def _bars(panel, rows):
     rows = rows[rows["functions"] == rows["functions"].min()].sort_values("cpu_s", ascending=False)
-    colours = [STYLES.get(name, STYLES["tras"])[1] if not name.startswith("tras") else STYLES["tras"][1] for name in rows["method"]]
+    colours = [
+        STYLES.get(name, STYLES["tras"])[1] if not name.startswith("tras") else STYLES["tras"][1]
+        for name in rows["method"]
+    ]
     panel.barh(range(len(rows)), rows["cpu_s"], color=colours, height=0.6)
     panel.set_yticks(range(len(rows)), rows["method"], fontsize=6.5)
     count = f", N = {rows['functions'].iloc[0]}" if len(rows) else ""

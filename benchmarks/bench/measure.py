@@ -31,10 +31,16 @@ OURS = Method("tras", "with_tras", "koopman_matrix")
 GRAM = Method("plain Gram", "with_numpy", "gram")
 METHODS = [
     OURS,
-    *(Method(f"tras, {variant.replace('_', ' ')}", "with_tras", variant) for variant in ("all_processors", "states_alone", "one_step", "vector_field", "lifted_linear", "default")),
+    *(
+        Method(f"tras, {variant.replace('_', ' ')}", "with_tras", variant)
+        for variant in ("all_processors", "states_alone", "one_step", "vector_field", "lifted_linear", "default")
+    ),
     GRAM,
     Method("floor", "with_numpy", "floor"),
-    *(Method(name, f"with_{name}", "", name) for name in ("pykoop", "pykoopman", "deeptime", "kooplearn", "datafold", "pydmd")),
+    *(
+        Method(name, f"with_{name}", "", name)
+        for name in ("pykoop", "pykoopman", "deeptime", "kooplearn", "datafold", "pydmd")
+    ),
 ]
 
 Limits = namedtuple("Limits", "memory seconds budget rounds", defaults=(6 * 2**30, 120.0, 60.0, 5))
@@ -49,7 +55,9 @@ def rounds(first, budget, most):
 def fingerprint(lock=None):
     """Of all code that a measurement depends on, and of the peer's lock file."""
     parts = [*sorted(ROOT.glob("tras/**/*.py")), *sorted(ROOT.glob("benchmarks/peers/*.py")), ROOT / "environment.txt"]
-    parts += [Path(__file__).parent / name for name in ("children.py", "data.py", "exact.py", "measure.py")] + ([lock] if lock else [])
+    parts += [Path(__file__).parent / name for name in ("children.py", "data.py", "exact.py", "measure.py")] + (
+        [lock] if lock else []
+    )
     return hashlib.sha256(b"".join(hashlib.sha256(path.read_bytes()).digest() for path in parts)).hexdigest()[:12]
 
 
@@ -70,7 +78,9 @@ class Bench:
     def reference(self, method, problem):
         """A child of the method for this problem, kept until another problem comes. Its fit is made once, so that it can roll out."""
         if self._references.get(method.name, (None,))[0] != problem:
-            child = self._stack.enter_context(self.child(method, problem, self.limits._replace(seconds=10 * self.limits.seconds)))
+            child = self._stack.enter_context(
+                self.child(method, problem, self.limits._replace(seconds=10 * self.limits.seconds))
+            )
             child.ask()
             self._references[method.name] = problem, child
         return self._references[method.name][1]
@@ -110,7 +120,9 @@ def measured(bench, method, problem, with_exact=False, rolled=False, compared=Tr
         with bench.child(method, problem) as child:
             ready = child.ask()
             rows["fit"] = {"version": ready["version"], "timed": ready["note"]}
-            reference = (lambda: bench.reference(OURS, problem).ask({"do": "fit"})) if compared and method != OURS else None
+            reference = (
+                (lambda: bench.reference(OURS, problem).ask({"do": "fit"})) if compared and method != OURS else None
+            )
             rows["fit"] |= in_turn(bench, lambda: child.ask({"do": "fit"}), reference, fits)
             if not rows["fit"]["outcome"]:
                 rows["fit"] |= accuracy(bench, child, problem, with_exact)
@@ -118,7 +130,11 @@ def measured(bench, method, problem, with_exact=False, rolled=False, compared=Tr
                     path = bench.folder / "rolled.npy"
                     reference = (lambda: loop(bench, problem)) if compared and method != GRAM else None
                     row = in_turn(bench, lambda: child.ask({"do": "roll_out", "path": str(path)}), reference)
-                    rows["roll-out"] = {"version": ready["version"], "timed": ready["how"]} | row | ({} if row["outcome"] else fate(path))
+                    rows["roll-out"] = (
+                        {"version": ready["version"], "timed": ready["how"]}
+                        | row
+                        | ({} if row["outcome"] else fate(path))
+                    )
     except Failed as failure:
         rows.setdefault("fit", {"runs": 0})["outcome"] = str(failure)
     return rows
@@ -132,7 +148,11 @@ def in_turn(bench, run, reference, most=None):
             runs.append(run())
             references.append(_asked(reference) if reference else runs[-1])
             if len(runs) == 1:
-                count = rounds(runs[0]["cpu"] + (references[0]["cpu"] if reference else 0), bench.limits.budget, most or bench.limits.rounds)
+                count = rounds(
+                    runs[0]["cpu"] + (references[0]["cpu"] if reference else 0),
+                    bench.limits.budget,
+                    most or bench.limits.rounds,
+                )
     except Failed as failure:
         return {"outcome": str(failure)} | summary(runs[: len(references)], references)
     return {"outcome": ""} | summary(runs, references)
@@ -191,7 +211,12 @@ def summary(runs, references):
 def hopeless(rows, method, pairs, functions):
     """Why this needs no trial: a smaller problem of the same method was too large. None if there is no such."""
     for row in rows:
-        if (row["what"], row["method"]) == ("fit", method.name) and row["pairs"] <= pairs and row["functions"] <= functions and row["outcome"] in HOPELESS:
+        if (
+            (row["what"], row["method"]) == ("fit", method.name)
+            and row["pairs"] <= pairs
+            and row["functions"] <= functions
+            and row["outcome"] in HOPELESS
+        ):
             return f"{row['outcome']} at {row['pairs']} pairs, {row['functions']} functions: not tried"
     return None
 
@@ -208,7 +233,9 @@ def compare(bench, methods, cells, rolled, say, exact_up_to=50_000 * 1006):
     """
     rows, smallest = [], min(pairs for pairs, _ in cells)
     for pairs, functions in sorted(cells):
-        problem = functools.cache(functools.partial(data.write, bench.folder / "problems", pairs, functions))  # only if something is measured
+        problem = functools.cache(
+            functools.partial(data.write, bench.folder / "problems", pairs, functions)
+        )  # only if something is measured
         for method in methods:
             say(f"{method.name}, {pairs} pairs, {functions} functions")
             rolls = pairs == smallest and functions in rolled and method.variant not in FITTED_ONLY
@@ -220,8 +247,16 @@ def compare(bench, methods, cells, rolled, say, exact_up_to=50_000 * 1006):
                 options = {"with_exact": pairs * functions <= exact_up_to, "rolled": rolls}
                 lock = ROOT / f"benchmarks/peers/{method.environment}.txt" if method.environment else None
                 key = f"{method.name.replace(', ', '-').replace(' ', '-')}-{pairs}-{functions}-{fingerprint(lock)}-{digest(bench.limits, options)}"
-                found = bench.cached(key, lambda method=method, options=options, problem=problem: measured(bench, method, problem(), **options))
-            rows += [{"what": what, "method": method.name, "pairs": pairs, "functions": functions} | row for what, row in found.items()]
+                found = bench.cached(
+                    key,
+                    lambda method=method, options=options, problem=problem: measured(
+                        bench, method, problem(), **options
+                    ),
+                )
+            rows += [
+                {"what": what, "method": method.name, "pairs": pairs, "functions": functions} | row
+                for what, row in found.items()
+            ]
         bench.forget_references()
     return rows
 
@@ -253,9 +288,15 @@ def grow(bench, say, against=GROWTH):
                     nonlocal problem
                     problem = problem or data.write(bench.folder / "problems", *cell, width=NARROW)
                     rolled = variable == "trajectories"
-                    return measured(bench, variants[variant], problem, rolled=rolled, compared=False, fits=1 if rolled else None)
+                    return measured(
+                        bench, variants[variant], problem, rolled=rolled, compared=False, fits=1 if rolled else None
+                    )
 
                 found = bench.cached(key, measure)
                 row = found.get("roll-out" if variable == "trajectories" else "fit", found["fit"])
-                rows.append({"against": variable, "variant": variant} | row | {"pairs": pairs, "functions": functions, "trajectories": runs})
+                rows.append(
+                    {"against": variable, "variant": variant}
+                    | row
+                    | {"pairs": pairs, "functions": functions, "trajectories": runs}
+                )
     return rows

@@ -55,10 +55,15 @@ def exponents(grown):
     good = grown[grown["outcome"].fillna("") == ""]
     for (against, variant), part in good.groupby(["against", "variant"], sort=False):
         column = part[against]
-        quantities = {"roll-out time": "cpu_s"} if against == "trajectories" else {"fit time": "cpu_s", "memory": "peak_mib"}
+        quantities = (
+            {"roll-out time": "cpu_s"} if against == "trajectories" else {"fit time": "cpu_s", "memory": "peak_mib"}
+        )
         for quantity, name in quantities.items():
             if column.nunique() > 1:
-                rows.append({"quantity": quantity, "against": against, "variant": variant, "theory": THEORY[quantity][against]} | exponent(column, part[name]))
+                rows.append(
+                    {"quantity": quantity, "against": against, "variant": variant, "theory": THEORY[quantity][against]}
+                    | exponent(column, part[name])
+                )
     return pd.DataFrame(rows, columns=["quantity", "against", "variant", "theory", "exponent", "low", "high", "points"])
 
 
@@ -96,7 +101,10 @@ def text(folder):
     compared, grown = read(folder, COMPARED), read(folder, EXPONENTS)
     parts = [] if compared is None else comparison(compared)
     if grown is not None and len(grown):
-        parts.append("**How our cost grows**: exponents in the last decade, with 95 % intervals, beside the theory.\n\n" + growth_table(grown))
+        parts.append(
+            "**How our cost grows**: exponents in the last decade, with 95 % intervals, beside the theory.\n\n"
+            + growth_table(grown)
+        )
     return "\n\n".join(parts)
 
 
@@ -107,7 +115,11 @@ def comparison(table):
     dates = sorted(table["measured"].dropna()) if "measured" in table else []
     parts = [f"Measured {_period(dates)} on {table['processor'].iloc[0]}, one thread."]
     for pairs, part in fits.groupby("pairs"):
-        parts.append(f"**Fit, {_thousands(pairs)} pairs**: CPU seconds of ours, all others as multiples of it.\n\n" + _grid(part, _ratio) + _over_the_floor(part))
+        parts.append(
+            f"**Fit, {_thousands(pairs)} pairs**: CPU seconds of ours, all others as multiples of it.\n\n"
+            + _grid(part, _ratio)
+            + _over_the_floor(part)
+        )
     for pairs, part in fits.groupby("pairs"):
         head = f"**Memory of a fit, {_thousands(pairs)} pairs**: MiB at the peak, beyond what interpreter, libraries and the data take."
         parts.append(f"{head}\n\n{_grid(part, _memory)}")
@@ -115,12 +127,22 @@ def comparison(table):
         head = f"**Error of the coefficients, {_thousands(pairs)} pairs**: largest, over the largest of its column, against extended precision."
         parts.append(f"{head}\n\n{_grid(part, _error)}")
     if len(rolls):
-        parts.append("**Roll-out**, 600 steps of 100 trajectories: CPU time as a multiple of the plain NumPy loop's.\n\n" + _roll_outs(rolls))
+        parts.append(
+            "**Roll-out**, 600 steps of 100 trajectories: CPU time as a multiple of the plain NumPy loop's.\n\n"
+            + _roll_outs(rolls)
+        )
     failed = fits[[_failed(row) == "failed" for _, row in fits.iterrows()]]
-    failures = [f"* {row['method']}, {_thousands(row['pairs'])} pairs, N = {row['functions']}: {row['outcome']}" for _, row in failed.iterrows()]
+    failures = [
+        f"* {row['method']}, {_thousands(row['pairs'])} pairs, N = {row['functions']}: {row['outcome']}"
+        for _, row in failed.iterrows()
+    ]
     parts += ["**What failed**\n\n" + "\n".join(failures)] if failures else []
     notes = table[table["what"] == "fit"].drop_duplicates("method")
-    rows = [[row["method"], row["version"], row["timed"]] for _, row in notes.iterrows() if isinstance(row.get("timed"), str)]
+    rows = [
+        [row["method"], row["version"], row["timed"]]
+        for _, row in notes.iterrows()
+        if isinstance(row.get("timed"), str)
+    ]
     if rows:
         parts.append("**What was timed**\n\n" + _markdown(["method", "version", "timed"], rows))
     return parts
@@ -196,7 +218,11 @@ def _ratio(row):
 
 
 def _over_the_floor(part):
-    floor = part[(part["method"] == "floor") & (part["outcome"] == "")].sort_values("functions") if "cpu_ratio" in part else part[:0]
+    floor = (
+        part[(part["method"] == "floor") & (part["outcome"] == "")].sort_values("functions")
+        if "cpu_ratio" in part
+        else part[:0]
+    )
     found = [f"{1 / row['cpu_ratio']:.2f} at N = {row['functions']}" for _, row in floor.iterrows()]
     return f"\n\nOurs over the floor: {', '.join(found)}." if found else ""
 
@@ -212,7 +238,11 @@ def _error(row):
 def _roll_outs(rolls):
     rows = []
     for _, row in rolls.iterrows():
-        diverged = "" if row["outcome"] or not row["diverged"] else f", {int(row['diverged'])} of {int(row['trajectories'])} diverge"
+        diverged = (
+            ""
+            if row["outcome"] or not row["diverged"]
+            else f", {int(row['diverged'])} of {int(row['trajectories'])} diverge"
+        )
         time = [_failed(row), ""] if row["outcome"] else [f"{row['cpu_s']:.3g} s", f"{row['cpu_ratio']:.3g}x"]
         how = row["timed"] if isinstance(row["timed"], str) else ""
         because = f", {row['outcome']}" if _failed(row) == "failed" else ""
@@ -221,4 +251,6 @@ def _roll_outs(rolls):
 
 
 def _markdown(heads, rows):
-    return "\n".join("| " + " | ".join(line) + " |" for line in [heads, ["---"] * len(heads), *[list(map(str, row)) for row in rows]])
+    return "\n".join(
+        "| " + " | ".join(line) + " |" for line in [heads, ["---"] * len(heads), *[list(map(str, row)) for row in rows]]
+    )

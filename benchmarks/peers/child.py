@@ -74,7 +74,11 @@ class Session:
 
     def ready(self):
         version = getattr(self.adapter, "VERSION", "")
-        return {"version": version, "note": note(self.adapter, "NOTE", self.problem), "how": note(self.adapter, "HOW", self.problem)}
+        return {
+            "version": version,
+            "note": note(self.adapter, "NOTE", self.problem),
+            "how": note(self.adapter, "HOW", self.problem),
+        }
 
     def fit(self):
         self.model = None
@@ -90,7 +94,10 @@ class Session:
         K = self.adapter.matrix(self.problem, self.model)
         if K is None:
             return {"none": True}
-        order, K = problems.match(self.adapter.features(self.problem, self.model, self.problem.points), self.problem.values), np.asarray(K)
+        order, K = (
+            problems.match(self.adapter.features(self.problem, self.model, self.problem.points), self.problem.values),
+            np.asarray(K),
+        )
         np.save(path, K[order][:, order[1 : 1 + self.problem.n]])
         return {"targets": K.shape[1]}
 

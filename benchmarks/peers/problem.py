@@ -32,7 +32,10 @@ def read(folder):
 def pairs(problem):
     """Snapshot pairs of all trajectories, the input held: ``(x, u)`` and ``(y, u)``, each (pairs, n + m)."""
     u = problem.inputs[:, :-1]
-    before, after = (np.concatenate([x, u], axis=2).reshape(-1, problem.n + problem.m) for x in (problem.states[:, :-1], problem.states[:, 1:]))
+    before, after = (
+        np.concatenate([x, u], axis=2).reshape(-1, problem.n + problem.m)
+        for x in (problem.states[:, :-1], problem.states[:, 1:])
+    )
     return before, after
 
 
@@ -70,6 +73,8 @@ def match(columns, values):
         distance = np.abs(columns - wanted[:, None]).max(axis=0)
         best = int(np.argmin(distance))
         if not distance[best] <= 1e-8:
-            raise ValueError(f"function {j} is not among the {columns.shape[1]} of the package (nearest: {distance[best]:.1e}).")
+            raise ValueError(
+                f"function {j} is not among the {columns.shape[1]} of the package (nearest: {distance[best]:.1e})."
+            )
         order.append(best)
     return order

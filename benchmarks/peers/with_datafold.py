@@ -34,7 +34,9 @@ def names(problem):
 
 
 def load(problem):
-    return TSCDataFrame.from_shift_matrices(*problems.pairs(problem), snapshot_orientation="row", columns=names(problem))
+    return TSCDataFrame.from_shift_matrices(
+        *problems.pairs(problem), snapshot_orientation="row", columns=names(problem)
+    )
 
 
 def dictionary(problem, channels):
@@ -47,12 +49,16 @@ def dictionary(problem, channels):
 
 
 def fit(problem, data):
-    model = EDMD([("dictionary", dictionary(problem, names(problem)))], DMDStandard(sys_mode="matrix"), include_id_state=False)
+    model = EDMD(
+        [("dictionary", dictionary(problem, names(problem)))], DMDStandard(sys_mode="matrix"), include_id_state=False
+    )
     return model.fit(data)
 
 
 def features(problem, model, z):
-    return model.transform(TSCDataFrame.from_shift_matrices(z, z, snapshot_orientation="row", columns=names(problem))).to_numpy()[::2]
+    return model.transform(
+        TSCDataFrame.from_shift_matrices(z, z, snapshot_orientation="row", columns=names(problem))
+    ).to_numpy()[::2]
 
 
 def matrix(problem, model):

@@ -19,7 +19,11 @@ def load(problem):
 
 
 def fit(problem, data):
-    basis = Monomials(problem.degree, problem.n + problem.m) if problem.kind == "monomials" else lambda z: problems.lift(problem, z)
+    basis = (
+        Monomials(problem.degree, problem.n + problem.m)
+        if problem.kind == "monomials"
+        else lambda z: problems.lift(problem, z)
+    )
     return EDMD(basis).fit(data).fetch_model()
 
 

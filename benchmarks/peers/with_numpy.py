@@ -12,7 +12,11 @@ ROWS = 4096
 
 
 def NOTE(problem):
-    return "3 M N^2 operations in matrix products, no lifting" if problem.variant == "floor" else "lift + fit (Gram matrix, scaled Cholesky)"
+    return (
+        "3 M N^2 operations in matrix products, no lifting"
+        if problem.variant == "floor"
+        else "lift + fit (Gram matrix, scaled Cholesky)"
+    )
 
 
 def load(problem):

@@ -8,7 +8,15 @@ import types
 import warnings
 
 # Only its neural network needs torch and lightning, which it imports always; they are not installed (see README.md).
-for name in ("torch", "torch.nn", "torch.nn.utils", "torch.nn.utils.rnn", "torch.utils", "torch.utils.data", "lightning"):
+for name in (
+    "torch",
+    "torch.nn",
+    "torch.nn.utils",
+    "torch.nn.utils.rnn",
+    "torch.utils",
+    "torch.utils.data",
+    "lightning",
+):
     sys.modules[name] = types.ModuleType(name)
 sys.modules["torch"].nn = sys.modules["torch.nn"]
 sys.modules["torch"].Tensor = sys.modules["torch"].device = object
@@ -39,7 +47,9 @@ def observables(problem, channels):
     if problem.kind == "monomials":
         return Polynomial(degree=problem.degree)
     centres = np.ascontiguousarray(problem.centres[:, :channels].T)
-    return Polynomial(degree=1) + RadialBasisFunction("gauss", centres.shape[1], centres, 1 / problem.width, include_state=False)
+    return Polynomial(degree=1) + RadialBasisFunction(
+        "gauss", centres.shape[1], centres, 1 / problem.width, include_state=False
+    )
 
 
 def fit(problem, data):

@@ -28,7 +28,11 @@ def NOTE(problem):
 
 
 def HOW(problem):
-    how = {"one_step": "re-lift", "lifted_linear": "linear, states lifted once", "states_alone": "re-lift"} | dict.fromkeys(WHOLE, "")
+    how = {
+        "one_step": "re-lift",
+        "lifted_linear": "linear, states lifted once",
+        "states_alone": "re-lift",
+    } | dict.fromkeys(WHOLE, "")
     return how.get(problem.variant, "integrates the vector field") + ", all runs at once"
 
 

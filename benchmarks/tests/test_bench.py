@@ -24,7 +24,9 @@ def child(tmp_path):
     started = []
 
     def start(lines, memory=2**30, seconds=20.0):
-        program = "import json, sys, time\nfor line in sys.stdin:\n" + "".join(f"    {text}\n" for text in lines.splitlines())
+        program = "import json, sys, time\nfor line in sys.stdin:\n" + "".join(
+            f"    {text}\n" for text in lines.splitlines()
+        )
         started.append(Child([sys.executable, "-c", program], tmp_path / "log", memory, seconds))
         return started[-1]
 
@@ -48,7 +50,9 @@ def test_a_child_beyond_its_memory_is_killed(child):
 
 def test_a_child_beyond_its_time_is_killed(child, monkeypatch):
     monkeypatch.setattr(children, "STALL", 1e6)  # CPU seconds decide
-    busy = child("begin = time.process_time()\nwhile time.process_time() < begin + 5: pass\nprint('{}', flush=True)", seconds=0.3)
+    busy = child(
+        "begin = time.process_time()\nwhile time.process_time() < begin + 5: pass\nprint('{}', flush=True)", seconds=0.3
+    )
     with pytest.raises(Failed, match="^over the time limit$"):
         busy.ask({})
     assert busy.process.returncode == -9
@@ -60,7 +64,10 @@ def test_a_child_that_waits_for_ever_is_killed_by_the_clock(child):
 
 
 def test_time_is_counted_from_the_request(child):
-    slow = child("begin = time.process_time()\nwhile time.process_time() < begin + 0.2: pass\nprint('{}', flush=True)", seconds=0.5)
+    slow = child(
+        "begin = time.process_time()\nwhile time.process_time() < begin + 0.2: pass\nprint('{}', flush=True)",
+        seconds=0.5,
+    )
     assert [slow.ask({}) for _ in range(3)] == [{}] * 3
 
 
@@ -161,7 +168,11 @@ def test_ratios_are_of_runs_in_turn():
     runs = [{"cpu": c, "wall": 2 * c, "peak": p * 2**20} for c, p in ((1.0, 5), (8.0, 7), (3.0, 6))]
     others = [{"cpu": c, "wall": c, "peak": 0} for c in (2.0, 4.0, 1.0)]
     found = measure.summary(runs, others)
-    assert (found["cpu_s"], found["cpu_ratio"], found["wall_ratio"]) == (3.0, 2.0, 4.0)  # the median of ratios, not the ratio of medians (1.5)
+    assert (found["cpu_s"], found["cpu_ratio"], found["wall_ratio"]) == (
+        3.0,
+        2.0,
+        4.0,
+    )  # the median of ratios, not the ratio of medians (1.5)
     assert (found["peak_mib"], found["cpu_least_s"], found["cpu_most_s"], found["runs"]) == (7.0, 1.0, 8.0, 3)
 
 
@@ -170,7 +181,10 @@ def test_a_reference_that_fails_is_not_the_method_that_fails(tmp_path):
         raise Failed("out of memory")
 
     bench, run = measure.Bench(tmp_path, measure.Limits(), {}, {}), {"cpu": 1.0, "wall": 1.0, "peak": 1}
-    assert measure.in_turn(bench, lambda: run, fails) == {"outcome": "no ratio, the reference failed: out of memory", "runs": 0}
+    assert measure.in_turn(bench, lambda: run, fails) == {
+        "outcome": "no ratio, the reference failed: out of memory",
+        "runs": 0,
+    }
     assert measure.in_turn(bench, fails, lambda: run) == {"outcome": "out of memory", "runs": 0}
 
 
@@ -201,7 +215,10 @@ def test_interval_of_an_exponent_holds_the_truth_as_often_as_it_says():
     assert abs(hits - 0.95) < 0.015  # three standard deviations of the mean of 2000
 
 
-@pytest.mark.parametrize("x, y, words", [([1, 100], [1, 2], "1 points in the last decade"), ([1, 2], [0, 1], "must be positive"), ([], [], "0 points")])
+@pytest.mark.parametrize(
+    "x, y, words",
+    [([1, 100], [1, 2], "1 points in the last decade"), ([1, 2], [0, 1], "must be positive"), ([], [], "0 points")],
+)
 def test_exponent_refuses(x, y, words):
     with pytest.raises(ValueError, match=words):
         report.exponent(x, y)
@@ -220,11 +237,22 @@ def compared():
         for count in (28, 506):
             about = COMMON | {"what": "fit", "pairs": pairs, "functions": count}
             rows.append(about | {"method": "tras", "cpu_s": 0.25, "cpu_ratio": 1.0, "peak_mib": 12.4, "error": 3e-16})
-            rows.append(about | {"method": "deeptime", "cpu_s": 1.0, "cpu_ratio": 4.0, "peak_mib": 90.0, "error": 2e-9, "runs": 2})
-    rows[-1] |= {"outcome": "out of memory at 50000 pairs, 506 functions: not tried"} | dict.fromkeys(("cpu_s", "cpu_ratio", "peak_mib", "error"), np.nan)
+            rows.append(
+                about
+                | {"method": "deeptime", "cpu_s": 1.0, "cpu_ratio": 4.0, "peak_mib": 90.0, "error": 2e-9, "runs": 2}
+            )
+    rows[-1] |= {"outcome": "out of memory at 50000 pairs, 506 functions: not tried"} | dict.fromkeys(
+        ("cpu_s", "cpu_ratio", "peak_mib", "error"), np.nan
+    )
     rows[-2] |= {"outcome": "ValueError: rank 3"}
     for method, ratio in (("tras, one step", 0.3), ("plain Gram", 1.0), ("deeptime", 2.0)):
-        about = COMMON | {"what": "roll-out", "pairs": 50_000, "functions": 84, "trajectories": 100, "diverged": 7 * (method == "deeptime")}
+        about = COMMON | {
+            "what": "roll-out",
+            "pairs": 50_000,
+            "functions": 84,
+            "trajectories": 100,
+            "diverged": 7 * (method == "deeptime"),
+        }
         rows.append(about | {"method": method, "cpu_s": ratio, "cpu_ratio": ratio, "peak_mib": 1.0})
     return pd.DataFrame(rows)
 
@@ -235,8 +263,19 @@ def grown():
     for k in range(1, 9):
         fit = COMMON | {"variant": "koopman_matrix", "pairs": 50_000, "functions": 84, "trajectories": 100}
         rows.append(fit | {"against": "pairs", "pairs": 1000 * 2**k, "cpu_s": 0.01 * 2**k, "peak_mib": 14.0})
-        rows.append(fit | {"against": "functions", "functions": 20 * 2**k, "cpu_s": 0.01 * 4**k, "peak_mib": 3.0 * 4**k})
-        rows.append(fit | {"against": "trajectories", "variant": "one_step", "trajectories": 3**k, "cpu_s": 0.1 * 3**k, "peak_mib": 1.0})
+        rows.append(
+            fit | {"against": "functions", "functions": 20 * 2**k, "cpu_s": 0.01 * 4**k, "peak_mib": 3.0 * 4**k}
+        )
+        rows.append(
+            fit
+            | {
+                "against": "trajectories",
+                "variant": "one_step",
+                "trajectories": 3**k,
+                "cpu_s": 0.1 * 3**k,
+                "peak_mib": 1.0,
+            }
+        )
     return pd.DataFrame(rows)
 
 
@@ -248,14 +287,35 @@ def test_tables_say_what_was_measured(compared, grown, tmp_path):
     assert "| tras | 0.25 s | failed |" in text and "* tras, 500 000 pairs, N = 506: ValueError: rank 3" in text
     assert "| tras | 12 | 12 |" in text and "| deeptime | 2e-09 | 2e-09 |" in text
     assert "| deeptime | 84 | 2 s | 2x | lift + fit, 7 of 100 diverge |" in text
-    assert "| fit time | pairs | koopman matrix | 1 | 1.00 |" in text and "| memory | pairs | koopman matrix | 0 | 0.00 |" in text
-    assert "| fit time | functions | koopman matrix | 2 | 2.00 |" in text and "| roll-out time | trajectories | one step | 1 | 1.00 |" in text
+    assert (
+        "| fit time | pairs | koopman matrix | 1 | 1.00 |" in text
+        and "| memory | pairs | koopman matrix | 0 | 0.00 |" in text
+    )
+    assert (
+        "| fit time | functions | koopman matrix | 2 | 2.00 |" in text
+        and "| roll-out time | trajectories | one step | 1 | 1.00 |" in text
+    )
     assert set(pd.read_csv(tmp_path / "peers.csv")["processor"]) == {report.processor()}
 
 
 def test_growth_of_which_nothing_was_measured_is_left_out(compared, grown, tmp_path):
     """As after ``--kept`` before any growth was measured."""
-    report.write(tmp_path, compared, pd.DataFrame([{"against": "pairs", "variant": "koopman_matrix", "pairs": 1000, "functions": 84, "outcome": "not measured", "runs": 0}]))
+    report.write(
+        tmp_path,
+        compared,
+        pd.DataFrame(
+            [
+                {
+                    "against": "pairs",
+                    "variant": "koopman_matrix",
+                    "pairs": 1000,
+                    "functions": 84,
+                    "outcome": "not measured",
+                    "runs": 0,
+                }
+            ]
+        ),
+    )
     assert "How our cost grows" not in report.text(tmp_path) and "**Fit" in report.text(tmp_path)
     report.draw(tmp_path)
     assert not (tmp_path / "growth.png").exists() and (tmp_path / "peers.png").exists()
@@ -263,7 +323,10 @@ def test_growth_of_which_nothing_was_measured_is_left_out(compared, grown, tmp_p
 
 def test_what_all_processors_gain_is_told_by_the_clock_and_the_floor_by_multiples(compared, tmp_path):
     ours = compared[(compared["method"] == "tras") & (compared["what"] == "fit")].iloc[[0]]
-    rows = [ours.assign(method="floor", cpu_ratio=0.5), ours.assign(method=report.ALL_PROCESSORS, cpu_ratio=1.1, wall_ratio=0.57)]
+    rows = [
+        ours.assign(method="floor", cpu_ratio=0.5),
+        ours.assign(method=report.ALL_PROCESSORS, cpu_ratio=1.1, wall_ratio=0.57),
+    ]
     report.write(tmp_path, pd.concat([compared, *rows]), None)
     assert f"Ours over the floor: 2.00 at N = {ours['functions'].iloc[0]}." in report.text(tmp_path)
     assert "| tras, all processors | 0.57x by the clock" in report.text(tmp_path)
@@ -274,7 +337,9 @@ def test_tables_go_between_their_markers(compared, tmp_path):
     page = tmp_path / "page.md"
     page.write_text(f"before\n{report.BEGIN}\nold\n{report.END}\nafter\n")
     report.publish(tmp_path, page)
-    assert page.read_text().startswith(f"before\n{report.BEGIN}\nMeasured") and page.read_text().endswith(f"|\n{report.END}\nafter\n")
+    assert page.read_text().startswith(f"before\n{report.BEGIN}\nMeasured") and page.read_text().endswith(
+        f"|\n{report.END}\nafter\n"
+    )
     assert "old" not in page.read_text()
 
 
@@ -288,7 +353,9 @@ def test_figures_show_every_method_and_slope(compared, grown, tmp_path):
     assert set(lines) == {"tras", "deeptime"} and list(lines["deeptime"].get_xdata()) == [28]  # 506 was out of memory
     drawn = figures.growth_figure(report.read(tmp_path, "growth.csv"), report.read(tmp_path, "growth_exponents.csv"))
     labels = [line.get_label() for axes in drawn.axes for line in axes.get_lines()]
-    assert sum(label.startswith("theory") for label in labels) == 4 and any("exponent 2.00" in label for label in labels)
+    assert sum(label.startswith("theory") for label in labels) == 4 and any(
+        "exponent 2.00" in label for label in labels
+    )
 
 
 # ---------------------------------------------------------------------------------------------------- environments, command line
@@ -337,8 +404,12 @@ def test_an_environment_is_made_once_for_a_lock(tmp_path):
 
 def test_a_peer_without_environment_is_reported_and_the_rest_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr(measure.data, "write", lambda *arguments, **options: tmp_path)
-    monkeypatch.setattr(measure, "measured", lambda bench, method, problem, **options: {"fit": {"outcome": "", "runs": 1, "cpu_s": 1.0}})
-    bench = measure.Bench(tmp_path, measure.Limits(), {}, {"pykoop": "the environment of pykoop could not be made: no space left"})
+    monkeypatch.setattr(
+        measure, "measured", lambda bench, method, problem, **options: {"fit": {"outcome": "", "runs": 1, "cpu_s": 1.0}}
+    )
+    bench = measure.Bench(
+        tmp_path, measure.Limits(), {}, {"pykoop": "the environment of pykoop could not be made: no space left"}
+    )
     methods = [measure.OURS, measure.Method("pykoop", "with_pykoop", "", "pykoop")]
     rows = measure.compare(bench, methods, [(1000, 28)], [], lambda text: None)
     assert [row["outcome"] for row in rows] == ["", "the environment of pykoop could not be made: no space left"]

@@ -24,7 +24,11 @@ DICTIONARIES = [
     tras.Product(tras.Fourier(1), tras.Monomials(2)),
     tras.Union(tras.Monomials(2), tras.Product(tras.Exponentials(), tras.ThinPlate(3, centres="uniform"))),
 ]
-MECHANICAL = [tras.Mechanical(), tras.Mechanical(3, shape=[0, 2]), tras.Mechanical(2, positions=[0, 1], velocities=[3, 2], shape=[1])]
+MECHANICAL = [
+    tras.Mechanical(),
+    tras.Mechanical(3, shape=[0, 2]),
+    tras.Mechanical(2, positions=[0, 1], velocities=[3, 2], shape=[1]),
+]
 SIZES = [(1, 0), (1, 1), (2, 0), (4, 2)]
 CASES = [(d, n, m) for d in DICTIONARIES for n, m in SIZES] + [(d, 4, m) for d in MECHANICAL for m in (0, 2)]
 
@@ -70,7 +74,10 @@ def test_shapes_coordinates_and_names(dictionary):
     assert len({*psi.names}) == len(psi.names)
     assert np.linalg.matrix_rank(psi(RNG.uniform(-1, 1, (900, 4)), RNG.uniform(-1, 1, (900, 2)))) == len(psi.names)
     assert np.array_equal(values[..., psi.coordinates], x)
-    assert list(psi.get_feature_names_out(["phi", "phidot", "psi", "psidot", "u_phi", "u_psi"])[[1, 5]]) == ["phi", "u_phi"]
+    assert list(psi.get_feature_names_out(["phi", "phidot", "psi", "psidot", "u_phi", "u_psi"])[[1, 5]]) == [
+        "phi",
+        "u_phi",
+    ]
 
 
 def test_gaussians_are_gaussians_at_their_centres():
@@ -109,7 +116,10 @@ def test_union_and_product_hold_every_function_once():
     squares = tras.Product(tras.Monomials(1), tras.Monomials(1)).fit(x, u)
     assert len(squares.names) == 10
     assert np.allclose(np.sort(squares(x, u)), np.sort(tras.Monomials(2)(x, u)))
-    by_list, by_name = tras.Union([tras.Monomials(2), tras.Fourier()]), tras.Union(parts=[tras.Monomials(2), tras.Fourier()])
+    by_list, by_name = (
+        tras.Union([tras.Monomials(2), tras.Fourier()]),
+        tras.Union(parts=[tras.Monomials(2), tras.Fourier()]),
+    )
     assert np.array_equal(by_list(x, u), by_name(x, u)) and np.array_equal(clone(by_list)(x, u), by_list(x, u))
 
 

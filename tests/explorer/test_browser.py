@@ -35,9 +35,18 @@ def page(browser, checkout):
     environment = os.environ | {f"JUPYTER_{name}": str(checkout / place) for name, place in own.items()}
     environment |= {"IPYTHONDIR": str(checkout / "ipython"), "BROWSER": "true %s", "JUPYTER_PREFER_ENV_PATH": "1"}
     environment |= {f"JUPYTERLAB_{name}_DIR": str(checkout / name.lower()) for name in ("SETTINGS", "WORKSPACES")}
-    command = subprocess.run(["make", "--dry-run", "lab"], cwd=checkout, capture_output=True, text=True, check=True).stdout.splitlines()[-1]
+    command = subprocess.run(
+        ["make", "--dry-run", "lab"], cwd=checkout, capture_output=True, text=True, check=True
+    ).stdout.splitlines()[-1]
     with (checkout / "lab.log").open("w") as log:
-        server = subprocess.Popen([*command.split(), "--port=0"], cwd=checkout, env=environment, stdout=log, stderr=log, stdin=subprocess.DEVNULL)
+        server = subprocess.Popen(
+            [*command.split(), "--port=0"],
+            cwd=checkout,
+            env=environment,
+            stdout=log,
+            stderr=log,
+            stdin=subprocess.DEVNULL,
+        )
     try:
         context = browser.new_context(viewport={"width": 1400, "height": 1250})
         opened = context.new_page()
@@ -142,7 +151,10 @@ def test_a_wrong_choice_is_answered_by_a_sentence(page):
     before, said = picture(page), numbers(page)
     drag(page, "duration (s)", -0.1)
     message(page).filter(has_text="cannot be simulated").wait_for()
-    assert "raise it or the duration" in message(page).inner_text() and "Traceback" not in page.locator(".jp-Notebook").inner_text()
+    assert (
+        "raise it or the duration" in message(page).inner_text()
+        and "Traceback" not in page.locator(".jp-Notebook").inner_text()
+    )
     assert (picture(page), numbers(page)) == (before, said)
     drag(page, "duration (s)", 0.3)
     eventually(page, lambda: picture(page) != before and functions(page) == 28)

@@ -39,7 +39,10 @@ def panel(tmp_path_factory):
 
 WRONG = {
     "an option": ({"input": "torques"}, "input is 'torques': choose one of reference, torque"),
-    "a size": ({"dictionary": "monomials", "size": 9}, "size is 9: with dictionary = monomials it is the degree, 1 to 5"),
+    "a size": (
+        {"dictionary": "monomials", "size": 9},
+        "size is 9: with dictionary = monomials it is the degree, 1 to 5",
+    ),
     "a broken size": ({"size": 2.0}, "size is 2.0"),
     "a number": ({"noise": -1.0}, "noise is -1.0: give a number from 0 to 20 % of each state's range"),
     "text for a number": ({"horizon": "6"}, "horizon is '6': give a number"),
@@ -66,11 +69,20 @@ IMPOSSIBLE = {
     "too short for a line": ({"duration": 20.0}, "raise it or the duration"),
     "too short for trajectories": ({"duration": 10.0, "frequency_unit": "Hz"}, "too short for 3 trajectories of 5 s"),
     "too short for a window": ({"duration": 40.0, "horizon": 60.0}, "too short for one horizon of 60 s"),
-    "sampling that does not divide": ({"duration": 100.0, "sampling_time": 0.03}, "duration is 100 s, no whole number of samples of 0.03 s"),
-    "a horizon between samples": ({"sampling_time": 0.02, "horizon": 1.01}, "horizon is 1.01 s, no whole number of samples"),
+    "sampling that does not divide": (
+        {"duration": 100.0, "sampling_time": 0.03},
+        "duration is 100 s, no whole number of samples of 0.03 s",
+    ),
+    "a horizon between samples": (
+        {"sampling_time": 0.02, "horizon": 1.01},
+        "horizon is 1.01 s, no whole number of samples",
+    ),
     "too many functions": ({"dictionary": "monomials", "size": 5}, "These are 462 functions"),
     "dependent channels": ({"delays": 4}, "linearly dependent"),
-    "no logarithm": ({"dictionary": "mechanical", "size": 8, "noise": 1.0}, "no principal logarithm exists.*predictor='one_step'"),
+    "no logarithm": (
+        {"dictionary": "mechanical", "size": 8, "noise": 1.0},
+        "no principal logarithm exists.*predictor='one_step'",
+    ),
 }
 
 
@@ -88,7 +100,11 @@ def test_an_impossible_choice_is_answered_in_one_sentence(what):
 def test_the_papers_choice_has_the_published_numbers():
     """Those of 03_validation, which the notebooks compute on their own way, for the first validation recording."""
     published = pd.read_csv(PUBLISHED)
-    published = published[(published["kind"] == "window") & (published["input"] == "reference") & (published["recording"] == "multisine 2")]
+    published = published[
+        (published["kind"] == "window")
+        & (published["input"] == "reference")
+        & (published["recording"] == "multisine 2")
+    ]
     found = explore.explore(Choice()).metrics
     for ours, theirs in (("Koopman", "gaussian"), ("linear", "linear")):
         for angle in ("yaw", "pitch"):
@@ -98,11 +114,21 @@ def test_the_papers_choice_has_the_published_numbers():
             assert (a["windows"], a["diverged"]) == (b["windows"], b["diverged"])
 
 
-@pytest.mark.parametrize("dictionary, predictor, state", [*itertools.product(choice.SIZES, choice.OPTIONS["predictor"], choice.OPTIONS["state"])])
+@pytest.mark.parametrize(
+    "dictionary, predictor, state",
+    [*itertools.product(choice.SIZES, choice.OPTIONS["predictor"], choice.OPTIONS["state"])],
+)
 def test_every_dictionary_with_every_predictor(dictionary, predictor, state):
     """A model as large as was counted beforehand, or a sentence."""
     usual = choice.SIZES[dictionary][2]
-    chosen = SMALL.replaced(dictionary=dictionary, size=usual, predictor=predictor, state=state, delays=int(state == "delayed_angles"), field="coordinates")
+    chosen = SMALL.replaced(
+        dictionary=dictionary,
+        size=usual,
+        predictor=predictor,
+        state=state,
+        delays=int(state == "delayed_angles"),
+        field="coordinates",
+    )
     try:
         model = explore.explore(chosen).model
     except ChoiceError as error:
@@ -118,7 +144,10 @@ def test_functions_are_counted_before_they_are_made(dictionary, size):
     train = explore.training(SMALL)
     for delays, predictor in ((0, "vector_field"), (2, "one_step"), (1, "lifted_linear")):
         model = explore.unfitted(SMALL.replaced(dictionary=dictionary, size=size, delays=delays, predictor=predictor))
-        counted, channels = explore._functions(model, train), train.delayed(delays, inputs=predictor != "vector_field" and delays > 0)
+        counted, channels = (
+            explore._functions(model, train),
+            train.delayed(delays, inputs=predictor != "vector_field" and delays > 0),
+        )
         lifted = model.dictionary.fit(channels.states[0], channels.inputs[0] if predictor != "lifted_linear" else None)
         assert counted == len(lifted.names)
 
@@ -128,7 +157,9 @@ def test_noise_is_on_the_training_states_alone():
     spread = (loud.states - quiet.states).std(axis=(0, 1)) / np.ptp(np.concatenate(quiet.states), axis=0)
     np.testing.assert_allclose(spread, 0.01, rtol=0.05)
     assert np.array_equal(quiet.inputs, loud.inputs)
-    assert np.array_equal(explore.validation_windows(SMALL).states, explore.validation_windows(SMALL.replaced(noise=1.0)).states)
+    assert np.array_equal(
+        explore.validation_windows(SMALL).states, explore.validation_windows(SMALL.replaced(noise=1.0)).states
+    )
 
 
 def test_recordings_are_simulated_once():
@@ -145,7 +176,9 @@ def test_the_windows_are_of_another_realisation_than_the_training(small):
 def test_the_overlay_is_the_models_own_prediction(small):
     for model, name in ((small.model, "koopman"), (small.linear, "linear")):
         predicted = model.predict(small.window)[0]
-        np.testing.assert_allclose(small.overlay[[f"phi_{name}", f"psi_{name}"]], predicted[:, [0, 2]], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(
+            small.overlay[[f"phi_{name}", f"psi_{name}"]], predicted[:, [0, 2]], rtol=1e-9, atol=1e-12
+        )
     np.testing.assert_array_equal(small.overlay[["phi_true", "psi_true"]], small.window.states[0][:, [0, 2]])
 
 
@@ -164,7 +197,9 @@ def test_what_ran_away_is_counted_and_said():
 
 def test_numbers_stand_beside_the_papers(small):
     table = explore.numbers(small)
-    assert list(table["paper"][["NRMSE (%), yaw", "NRMSE (%), pitch"]]) == ["4.0589", "5.5889"] and set(table["paper"][2:]) == {""}
+    assert list(table["paper"][["NRMSE (%), yaw", "NRMSE (%), pitch"]]) == ["4.0589", "5.5889"] and set(
+        table["paper"][2:]
+    ) == {""}
     shown = float(table.loc["NRMSE (%), pitch", "linear"])
     exact = small.metrics[(small.metrics["model"] == "linear") & (small.metrics["angle"] == "pitch")]["nrmse"].iloc[0]
     assert shown == pytest.approx(exact, rel=1e-3)
@@ -199,12 +234,19 @@ any_choice = st.builds(
 @given(any_choice)
 def test_a_file_holds_the_whole_choice_and_every_notebook_accepts_its_part(chosen):
     smoke = yaml.safe_load((ROOT / "params" / "smoke.yaml").read_text())
-    content = parameters.parse_yaml(choice.parameter_text(chosen, "mine", {name: smoke[name] for name in ("05_robustness", "07_comparison")}), "mine.yaml")
+    content = parameters.parse_yaml(
+        choice.parameter_text(chosen, "mine", {name: smoke[name] for name in ("05_robustness", "07_comparison")}),
+        "mine.yaml",
+    )
     assert choice.choice_of(content["09_pictures"]["choice"]) == chosen
     for name, section in content.items():
         parameters.check_parameters(section, DEFAULTS[name], name)
     read = readings.Readings(**content["06_readings"]["default"])
-    assert (read.input, read.frequency_unit, read.nrmse_range) == (chosen.input, chosen.frequency_unit, chosen.nrmse_range)
+    assert (read.input, read.frequency_unit, read.nrmse_range) == (
+        chosen.input,
+        chosen.frequency_unit,
+        chosen.nrmse_range,
+    )
     assert read.state == chosen.state
     assert content["01_data_generation"]["train_seed"] == chosen.seed
 
@@ -221,7 +263,9 @@ def test_the_papers_choice_changes_nothing_of_the_papers_parameters():
 
 def test_another_experiment_takes_the_small_studies():
     assert choice.parameter_sections(SMALL, {"05_robustness": {"swings": 1}})["05_robustness"] == {"swings": 1}
-    assert choice.parameter_sections(Choice(frequency_unit="Hz"))["01_data_generation"]["yaw_max_frequency"] == pytest.approx(1.6 * np.pi)
+    assert choice.parameter_sections(Choice(frequency_unit="Hz"))["01_data_generation"][
+        "yaw_max_frequency"
+    ] == pytest.approx(1.6 * np.pi)
 
 
 def test_a_reading_is_named_where_it_has_a_name():
@@ -275,7 +319,10 @@ def test_a_wrong_choice_leaves_the_picture_and_says_why(panel):
     panel.set(SMALL)
     before = panel.picture.value, panel.table.value, panel.outcome
     panel.controls["duration"].value = 20.0
-    assert "cannot be simulated" in words(panel.message) and (panel.picture.value, panel.table.value, panel.outcome) == before
+    assert (
+        "cannot be simulated" in words(panel.message)
+        and (panel.picture.value, panel.table.value, panel.outcome) == before
+    )
     panel.controls["duration"].value = 60.0
     assert words(panel.message).startswith("N = 9")
 
@@ -285,7 +332,9 @@ def test_the_size_follows_the_dictionary_and_what_has_no_effect_is_grey(panel, m
     panel.set(SMALL.replaced(size=150))
     panel.controls["dictionary"].value = "monomials"
     assert (panel.controls["size"].value, panel.controls["size"].max) == (2, 5)
-    assert panel.controls["width"].disabled and panel.controls["strength"].disabled and not panel.controls["size"].disabled
+    assert (
+        panel.controls["width"].disabled and panel.controls["strength"].disabled and not panel.controls["size"].disabled
+    )
     panel.controls["regularization"].value = "shrink"
     assert not panel.controls["strength"].disabled
     panel.controls["dictionary"].value = "gaussian"
@@ -313,7 +362,9 @@ def test_examples_are_put_into_the_controls(panel, monkeypatch):
 
 def test_sliders_act_when_they_are_let_go(panel):
     late = [control for control in panel.controls.values() if hasattr(control, "continuous_update")]
-    assert len(late) >= 7 and not any(control.continuous_update for control in late if "Slider" in type(control).__name__)
+    assert len(late) >= 7 and not any(
+        control.continuous_update for control in late if "Slider" in type(control).__name__
+    )
 
 
 def test_the_button_writes_the_choice(panel):
@@ -332,7 +383,9 @@ def test_the_notebook_runs_from_its_own_folder(monkeypatch):
     """Its cells one after the other, without a kernel; tests/test_browser.py does it in JupyterLab."""
     monkeypatch.chdir(ROOT / "notebooks")
     cells = [cell for cell in json.loads(Path("explore.ipynb").read_text())["cells"] if cell["cell_type"] == "code"]
-    monkeypatch.setattr("tras.paper.figures.animation.movie", lambda *_, **__: SimpleNamespace(to_jshtml=lambda **_: "<div>"))  # tests/test_animation.py
+    monkeypatch.setattr(
+        "tras.paper.figures.animation.movie", lambda *_, **__: SimpleNamespace(to_jshtml=lambda **_: "<div>")
+    )  # tests/test_animation.py
     names = {}
     for cell in cells:
         exec("".join(cell["source"]), names)

@@ -18,8 +18,12 @@ from tras.export import symbols
 
 CC = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 OCTAVE = shutil.which("octave-cli") or shutil.which("octave")
-needs_cc = pytest.mark.skipif(CC is None, reason="no C compiler (cc, gcc, clang) is installed, so the generated C cannot be compiled here")
-needs_octave = pytest.mark.skipif(OCTAVE is None, reason="GNU Octave is not installed (apt-get install octave), so the .m files cannot be run here")
+needs_cc = pytest.mark.skipif(
+    CC is None, reason="no C compiler (cc, gcc, clang) is installed, so the generated C cannot be compiled here"
+)
+needs_octave = pytest.mark.skipif(
+    OCTAVE is None, reason="GNU Octave is not installed (apt-get install octave), so the .m files cannot be run here"
+)
 
 PREDICTORS = ["vector_field", "one_step", "lifted_linear"]
 SHIPPED = {
@@ -36,7 +40,11 @@ CASES = [(name, predictor, 0, "linear") for name in SHIPPED for predictor in PRE
 CASES += [(name, predictor, 2, "linear") for name in ("Monomials", "GaussianRBF") for predictor in PREDICTORS]
 CASES += [("Monomials", "vector_field", 0, "functions"), ("ThinPlate", "one_step", 1, "functions")]
 SOME = [case for case in CASES if case[0] == "Monomials" and not case[2] or case[0] == "GaussianRBF" and case[2]]
-SOME += [("Mechanical", "vector_field", 0, "linear"), ("ThinPlate", "one_step", 1, "functions"), ("Product", "lifted_linear", 0, "linear")]
+SOME += [
+    ("Mechanical", "vector_field", 0, "linear"),
+    ("ThinPlate", "one_step", 1, "functions"),
+    ("Product", "lifted_linear", 0, "linear"),
+]
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +57,9 @@ def fitted(experiment):
         if key not in made:
             states = ["phi", "psi"] if delays else ["phi", "phidot", "psi", "psidot"]
             recording = experiment[:8].select(states=states, inputs=["u_phi", "u_psi"])
-            model = tras.KoopmanModel(SHIPPED[name], predictor, delays=delays, extrapolation=extrapolation, strength=1e-3)
+            model = tras.KoopmanModel(
+                SHIPPED[name], predictor, delays=delays, extrapolation=extrapolation, strength=1e-3
+            )
             made[key] = model.fit(recording)
         return made[key]
 
@@ -129,7 +139,9 @@ def test_c_predicts_what_python_predicts(case, fitted, experiment, tmp_path):
                 x = call("rig_read", n, z)
             else:
                 x = call("rig_step", len(x), x, inputs[run, k])
-                wanted = stacked(model, true[run : run + 1, k - d + 1 : k + 2], inputs[run : run + 1, k - d + 1 : k + 2])[0]
+                wanted = stacked(
+                    model, true[run : run + 1, k - d + 1 : k + 2], inputs[run : run + 1, k - d + 1 : k + 2]
+                )[0]
                 assert np.allclose(x, wanted, rtol=1e-12, atol=1e-12)  # the shifted ones too
             assert error(model, x[:n], true[run, k + 1]) <= 1e-12
     if model.predictor == "vector_field":
@@ -202,7 +214,10 @@ def test_octave_predicts_what_python_predicts(case, fitted, experiment, tmp_path
 @needs_octave
 def test_octave_without_inputs(tmp_path):
     recording = ode_recording(lambda x, u: [x[1], -x[0] - 0.1 * x[0] ** 3], 0.2, n=2)
-    scripts = {"one_step": "a_step([0.3; -0.4], zeros(0, 1))", "lifted_linear": "b_read(b_step(b_lift([0.3; -0.4]), zeros(0, 1)))"}
+    scripts = {
+        "one_step": "a_step([0.3; -0.4], zeros(0, 1))",
+        "lifted_linear": "b_read(b_step(b_lift([0.3; -0.4]), zeros(0, 1)))",
+    }
     for predictor, script in scripts.items():
         model = tras.KoopmanModel(tras.Monomials(2), predictor, strength=0.0).fit(recording)
         tras.export.to_matlab(model, tmp_path / f"{script[0]}.mat")
@@ -214,10 +229,20 @@ def test_mat_file_holds_plain_arrays(fitted, tmp_path):
     model = fitted("Union", "vector_field", 0, "linear")
     tras.export.to_matlab(model, tmp_path / "rig.mat")
     file = loadmat(tmp_path / "rig.mat", simplify_cells=True)
-    wanted = {"K": model.koopman_matrix, "A": model.generator, "W": model.W_, "x_scale": model.x_scale_, "u_offset": model.u_offset_}
+    wanted = {
+        "K": model.koopman_matrix,
+        "A": model.generator,
+        "W": model.W_,
+        "x_scale": model.x_scale_,
+        "u_offset": model.u_offset_,
+    }
     for key, value in wanted.items():
         assert np.array_equal(file[key], value)
-    assert file["dt"] == 0.01 and list(file["functions"]) == model.names_ and list(file["state_units"]) == ["rad", "rad/s"] * 2
+    assert (
+        file["dt"] == 0.01
+        and list(file["functions"]) == model.names_
+        and list(file["state_units"]) == ["rad", "rad/s"] * 2
+    )
     assert np.array_equal(file["hull"]["axes"], model.hull_.axes)
     parts = file["dictionary"]["parts"]
     assert [part["name"] for part in parts] == ["Monomials", "GaussianRBF"] and parts[0]["degree"] == 2
@@ -230,7 +255,9 @@ def test_mat_file_holds_plain_arrays(fitted, tmp_path):
 # ----------------------------------------------------------------------------------------------------------------- python-control
 
 
-@pytest.mark.parametrize("case", [("Monomials", "lifted_linear", 0, "linear"), ("GaussianRBF", "lifted_linear", 2, "linear")], ids=str)
+@pytest.mark.parametrize(
+    "case", [("Monomials", "lifted_linear", 0, "linear"), ("GaussianRBF", "lifted_linear", 2, "linear")], ids=str
+)
 def test_state_space_simulates_what_the_model_simulates(case, fitted, experiment, monkeypatch):
     control = pytest.importorskip("control", reason="python-control is not installed")
     model, d = fitted(*case), case[2]
@@ -259,7 +286,9 @@ def run(text, channels, points):
     """What the formulas' last lines give at points (points, channels), as Python reads them."""
     known = {name: getattr(np, name) for name in symbols.FUNCTIONS} | dict(zip(channels, np.transpose(points)))
     exec(text, known)
-    return np.transpose([value + np.zeros(len(points)) for name, value in known.items() if name.endswith(("_dt", "_next"))])
+    return np.transpose(
+        [value + np.zeros(len(points)) for name, value in known.items() if name.endswith(("_dt", "_next"))]
+    )
 
 
 @pytest.mark.parametrize("tolerance", [0, 0.02])
@@ -275,7 +304,9 @@ def test_formulas_say_what_the_model_computes(case, tolerance, fitted, experimen
     if model.predictor == "vector_field":
         wanted = size = model.vector_field(x, u)
     else:
-        z = np.hstack([(x - model.channels_.z_offset) / model.channels_.z_scale, (u - model.u_offset_) / model.u_scale_])
+        z = np.hstack(
+            [(x - model.channels_.z_offset) / model.channels_.z_scale, (u - model.u_offset_) / model.u_scale_]
+        )
         n = len(model.x_scale_)
         wanted = model.map()(z.T).T[:, :n] * model.x_scale_ + model.x_offset_
         size = wanted - x[:, :n]
@@ -286,24 +317,38 @@ def test_formulas_say_what_the_model_computes(case, tolerance, fitted, experimen
 
 def test_formulas_are_the_systems_own():
     """x' = v, v' = u - 2 x - 0.5 v - x^3 comes out as it went in."""
-    recording = ode_recording(lambda x, u: [x[1], -2 * x[0] - 0.5 * x[1] - x[0] ** 3 + u[0]], 0.02, n=2, m=1, trajectories=60)
+    recording = ode_recording(
+        lambda x, u: [x[1], -2 * x[0] - 0.5 * x[1] - x[0] ** 3 + u[0]], 0.02, n=2, m=1, trajectories=60
+    )
     named = tras.Recording(recording.states, recording.inputs, 0.02, state_names=["x", "v"], input_names=["u"])
     model = tras.KoopmanModel(tras.Monomials(5), strength=0.0).fit(named)
     text = tras.export.formulas(model, named, tolerance=0.01)
     assert text.splitlines()[-2:] == ["dx_dt = v", "dv_dt = -2*x + u - x**3 - 0.5*v"]
-    assert r"\frac{d v}{d t} &= -2 \, x + u - {x}^{3} - 0.5 \, v" in tras.export.formulas(model, named, tolerance=0.01, latex=True)
+    assert r"\frac{d v}{d t} &= -2 \, x + u - {x}^{3} - 0.5 \, v" in tras.export.formulas(
+        model, named, tolerance=0.01, latex=True
+    )
     assert "dv_dt: 52 of 56 terms left out" in text
 
 
 def test_latex_is_latex(fitted):
     model = fitted("GaussianRBF", "vector_field", 0, "linear")
     latex = tras.export.formulas(model, latex=True, tolerance=0.01)
-    assert r"\frac{d \phi}{d t} &= " in latex and r"\dot{\phi}" in latex and r"u_{\psi}" in latex and r"\exp\left(-" in latex
+    assert (
+        r"\frac{d \phi}{d t} &= " in latex
+        and r"\dot{\phi}" in latex
+        and r"u_{\psi}" in latex
+        and r"\exp\left(-" in latex
+    )
     assert latex.count("{") == latex.count("}") and latex.count(r"\left") == latex.count(r"\right")
     block = latex[latex.index(r"\begin") :]
     assert "\\dot" not in latex2mathml.converter.convert(block) and "<mfrac>" in latex2mathml.converter.convert(block)
     # The same numbers in the same order as the text.
-    digits = [word for line in tras.export.formulas(model, tolerance=0.01).splitlines() if not line.startswith("#") for word in line.split(" = ", 1)[1].split()]
+    digits = [
+        word
+        for line in tras.export.formulas(model, tolerance=0.01).splitlines()
+        if not line.startswith("#")
+        for word in line.split(" = ", 1)[1].split()
+    ]
     assert all(w.partition("*")[0] in block for w in digits if w.partition("*")[0].replace(".", "").isdigit())
 
 
@@ -335,12 +380,16 @@ def test_same_model_same_bytes(fitted, tmp_path):
 def test_awkward_names_are_made_ones_that_compile(tmp_path):
     plain = linear_system([[0, 1], [-2, -0.5]], [[0], [1]], 0.1)[0]
     names = {"state_names": ["3 angle *\\ (°)", "while"], "input_names": ["exp"], "state_units": ["/* */ % '", "a\nb"]}
-    model = tras.KoopmanModel(tras.Monomials(2), "one_step", strength=0.0).fit(tras.Recording(plain.states, plain.inputs, 0.1, **names))
+    model = tras.KoopmanModel(tras.Monomials(2), "one_step", strength=0.0).fit(
+        tras.Recording(plain.states, plain.inputs, 0.1, **names)
+    )
     true = model.simulate([0.1, 0.2], [[0.3], [0.3]])[1]
     text = tras.export.formulas(model, tolerance=0)
     assert "Names: x3_angle is '3 angle *\\\\ (°)', while_ is 'while', exp_ is 'exp'." in text
     assert np.allclose(run(text, ["x3_angle", "while_", "exp_"], [[0.1, 0.2, 0.3]])[0], true, rtol=1e-12)
-    assert r"{x_{3}}_{\mathrm{angle}}" in tras.export.formulas(model, tolerance=0, latex=True)  # a second index needs braces
+    assert r"{x_{3}}_{\mathrm{angle}}" in tras.export.formulas(
+        model, tolerance=0, latex=True
+    )  # a second index needs braces
     if CC:
         call = compiled(model, tmp_path / "2 rigs.c")
         assert error(model, call("x2_rigs_step", 2, [0.1, 0.2], [0.3]), true) <= 1e-12
@@ -373,7 +422,11 @@ def test_a_dictionary_of_ones_own_travels_too(experiment, tmp_path):
         x, u = recording.states[0, 7], recording.inputs[0, 7]
         assert error(model, call("own_step", 4, x, u), model.simulate(x, [u, u])[1]) <= 1e-12
     clipped = tras.KoopmanModel(Clipped(), "one_step", strength=0.0).fit(recording)
-    for call in (lambda: tras.export.to_c(clipped, tmp_path / "no.c"), lambda: tras.export.to_matlab(clipped, tmp_path / "no.mat"), lambda: tras.export.formulas(clipped)):
+    for call in (
+        lambda: tras.export.to_c(clipped, tmp_path / "no.c"),
+        lambda: tras.export.to_matlab(clipped, tmp_path / "no.mat"),
+        lambda: tras.export.formulas(clipped),
+    ):
         with pytest.raises(ValueError, match="dictionary 'Clipped' cannot be written as formulas .*its _fill may use"):
             call()
     assert not list(tmp_path.glob("no*"))
@@ -387,7 +440,9 @@ def test_brackets_stand_where_they_must(experiment):
         if depth == 0 or rng.random() < 0.1:
             return leaves[rng.integers(len(leaves))]
         a, b = random(depth - 1, leaves), random(depth - 1, leaves)
-        return [lambda: a + b, lambda: a - b, lambda: a * b, lambda: a / b, lambda: -a, lambda: b - (a - b)][rng.integers(6)]()
+        return [lambda: a + b, lambda: a - b, lambda: a * b, lambda: a / b, lambda: -a, lambda: b - (a - b)][
+            rng.integers(6)
+        ]()
 
     table, values = {}, [0.7, -1.3, 2.1]
     z = [symbols.Symbol("z", (i,), table) for i in range(3)]
@@ -420,7 +475,9 @@ def test_brackets_stand_where_they_must(experiment):
     recording = experiment[:4].select(inputs=["u_phi", "u_psi"])
     model = tras.KoopmanModel(Odd(), strength=0.0).fit(recording)
     x, u = recording.states[0], recording.inputs[0]
-    values = run(tras.export.formulas(model, tolerance=0), [*model.state_names_, *model.input_names_], np.hstack([x, u]))
+    values = run(
+        tras.export.formulas(model, tolerance=0), [*model.state_names_, *model.input_names_], np.hstack([x, u])
+    )
     assert np.allclose(values, model.vector_field(x, u), rtol=1e-9, atol=1e-9)
 
 
@@ -430,10 +487,18 @@ def test_the_pages_examples_run(experiment, tmp_path, monkeypatch):
     blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     known = {"recording": experiment[:4].select(inputs=["u_phi", "u_psi"])}
     exec("\n".join(blocks), known)
-    assert len(blocks) == 5 and {path.name for path in tmp_path.iterdir()} == {"rig.mat", "rig_step.m", "rig_field.m", "rig.c", "rig.h"}
+    assert len(blocks) == 5 and {path.name for path in tmp_path.iterdir()} == {
+        "rig.mat",
+        "rig_step.m",
+        "rig_field.m",
+        "rig.c",
+        "rig.h",
+    }
     if CC:
         (tmp_path / "main.c").write_text(re.search(r"```c\n(.*?)```", page, re.DOTALL)[1])
-        subprocess.run([CC, "-std=c99", "-Wall", "-Wextra", "-Werror", "main.c", "rig.c", "-o", "main", "-lm"], check=True)
+        subprocess.run(
+            [CC, "-std=c99", "-Wall", "-Wextra", "-Werror", "main.c", "rig.c", "-o", "main", "-lm"], check=True
+        )
         printed = float(subprocess.run(["./main"], check=True, capture_output=True, text=True).stdout)
         assert printed == pytest.approx(known["model"].simulate([0.1, 0, 0, 0], np.zeros((101, 2)))[-1, 0], rel=1e-9)
 
@@ -457,8 +522,14 @@ def test_symbols_are_the_functions(dictionary):
         (lambda m: tras.export.to_matlab(tras.KoopmanModel(tras.Monomials(2)), "a.mat"), "not fitted"),
         (lambda m: tras.export.to_statespace(tras.KoopmanModel(tras.Monomials(2))), "not fitted"),
         (lambda m: tras.export.formulas(tras.KoopmanModel(tras.Monomials(2))), "not fitted"),
-        (lambda m: tras.export.to_statespace(m("vector_field")), "predictor is 'vector_field', which is no linear system; fit with predictor='lifted_linear'"),
-        (lambda m: tras.export.formulas(m("lifted_linear")), "predictor is 'lifted_linear', which steps in the lifted space.*use to_statespace"),
+        (
+            lambda m: tras.export.to_statespace(m("vector_field")),
+            "predictor is 'vector_field', which is no linear system; fit with predictor='lifted_linear'",
+        ),
+        (
+            lambda m: tras.export.formulas(m("lifted_linear")),
+            "predictor is 'lifted_linear', which steps in the lifted space.*use to_statespace",
+        ),
         (lambda m: tras.export.formulas(m("one_step"), tolerance=-1), "tolerance is -1; give the error to allow"),
         (lambda m: tras.export.formulas(m("one_step"), tolerance="small"), "tolerance is 'small'"),
         (lambda m: tras.export.to_c(m("one_step"), "a.cpp"), "ends in '.cpp'; give one that ends in .c"),

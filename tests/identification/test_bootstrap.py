@@ -78,12 +78,20 @@ def test_unequal_lengths_and_members_that_run_away():
     recording = noisy(0)
     model = fitted(recording)
     ensemble = tras.bootstrap(model, recording, 10)
-    two = Recording([x[:k] for (x, _), k in zip(recording[[0, 1]], (30, 20))], [u[:k] for (_, u), k in zip(recording[[0, 1]], (30, 20))], 0.1)
+    two = Recording(
+        [x[:k] for (x, _), k in zip(recording[[0, 1]], (30, 20))],
+        [u[:k] for (_, u), k in zip(recording[[0, 1]], (30, 20))],
+        0.1,
+    )
     lower, median, upper = tras.prediction_band(ensemble, two)
     assert [len(x) for x in median] == [30, 20]
     ensemble[0].koopman_matrix = 20.0 * ensemble[0].koopman_matrix
     lower, median, upper = tras.prediction_band(ensemble, two, 0.95)
-    assert np.isinf(np.concatenate(lower)).any() and np.isfinite(np.concatenate(median)).all() and not np.isnan(np.concatenate(upper)).any()
+    assert (
+        np.isinf(np.concatenate(lower)).any()
+        and np.isfinite(np.concatenate(median)).all()
+        and not np.isnan(np.concatenate(upper)).any()
+    )
 
 
 @pytest.mark.parametrize(

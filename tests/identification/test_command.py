@@ -50,9 +50,15 @@ def test_everything_is_there(checkout):
         folder = checkout / "build" / "identify" / name
         listed = pd.read_csv(folder / "contents.csv")["file"]
         assert all((folder / path).is_file() for path in listed)
-        assert {"report.html", "model.npz", "export/model.c", "export/model.mat", "export/model_step.m", "export/formulas.txt", "tables/metrics.csv"} <= set(
-            listed
-        )
+        assert {
+            "report.html",
+            "model.npz",
+            "export/model.c",
+            "export/model.mat",
+            "export/model_step.m",
+            "export/formulas.txt",
+            "tables/metrics.csv",
+        } <= set(listed)
         assert (folder / "identify.ipynb").is_file() and (folder / "identify.json").is_file()
         metrics = pd.read_csv(folder / "tables" / "metrics.csv").set_index(["prediction", "state"])["nrmse"]
         assert len(metrics["model"]) == n

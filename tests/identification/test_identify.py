@@ -37,7 +37,9 @@ def identification(log):
 # --- examples ----------------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "energy"), [("duffing", lambda q, v: v**2 / 2 + q**2 / 2 + q**4 / 2), ("cart_pole", None)])
+@pytest.mark.parametrize(
+    ("name", "energy"), [("duffing", lambda q, v: v**2 / 2 + q**2 / 2 + q**4 / 2), ("cart_pole", None)]
+)
 def test_examples_obey_mechanics(name, energy):
     """Power put in less power lost is the rise of the energy, from the exact states."""
     r = example(name, trials=1, duration=20.0, noise=0)
@@ -55,9 +57,15 @@ def test_examples_obey_mechanics(name, energy):
 
 def test_fields_are_batched_and_sensors_have_steps():
     points = np.random.default_rng(0).normal(size=(3, 5))
-    assert np.allclose(duffing(points)[:, 2], duffing(points[:, 2:3])[:, 0]) and cart_pole(np.ones((5, 4))).shape == (4, 4)
+    assert np.allclose(duffing(points)[:, 2], duffing(points[:, 2:3])[:, 0]) and cart_pole(np.ones((5, 4))).shape == (
+        4,
+        4,
+    )
     q = example("duffing", trials=1).states[0][:, 0]
-    assert np.allclose(q / 0.0005, np.round(q / 0.0005)) and 0.0005 < tras.noise_level(example("duffing", trials=1))[0] < 0.002
+    assert (
+        np.allclose(q / 0.0005, np.round(q / 0.0005))
+        and 0.0005 < tras.noise_level(example("duffing", trials=1))[0] < 0.002
+    )
     with pytest.raises(ValueError, match="choose one of duffing, cart_pole"):
         example("pendulum")
 
@@ -73,9 +81,25 @@ def test_limits_are_told_from_extremes():
     }  # fmt: skip
     recording = one([T], list(at.values()), state_names=["q"], input_names=list(at))
     table = datachecks.channels(recording).set_index("channel")
-    assert table.loc["clipped", "at_lowest"] == pytest.approx(np.mean(wave <= -0.8)) and table.loc["clipped", "at_highest"] == 0
-    assert (table.loc[["free", "coarse", "very coarse", "switch", "at rest once", "levels"], ["at_lowest", "at_highest"]] == 0).all().all()
-    assert table.loc["coarse", "step"] == pytest.approx(0.1) and table.loc["free", "step"] == 0 and table.loc["switch", "levels"] == 2
+    assert (
+        table.loc["clipped", "at_lowest"] == pytest.approx(np.mean(wave <= -0.8))
+        and table.loc["clipped", "at_highest"] == 0
+    )
+    assert (
+        (
+            table.loc[
+                ["free", "coarse", "very coarse", "switch", "at rest once", "levels"], ["at_lowest", "at_highest"]
+            ]
+            == 0
+        )
+        .all()
+        .all()
+    )
+    assert (
+        table.loc["coarse", "step"] == pytest.approx(0.1)
+        and table.loc["free", "step"] == 0
+        and table.loc["switch", "levels"] == 2
+    )
 
 
 def test_noise_wraps_and_shift():
@@ -87,7 +111,11 @@ def test_noise_wraps_and_shift():
     assert row(one([360 * np.sign(np.sin(60 * T))], state_names=["a"]), "a")["wraps"] == 0
     noisy = np.sin(T) + 0.05 * rng.standard_normal(len(T))
     assert row(one([noisy], state_names=["a"]), "a")["noise"] == pytest.approx(0.05 / np.ptp(noisy), rel=0.1)
-    assert row(one([np.sin(20 * T) + 0.1 * T], state_names=["a"]), "a")["shift"] > 1 > row(one([np.sin(20 * T)], state_names=["a"]), "a")["shift"]
+    assert (
+        row(one([np.sin(20 * T) + 0.1 * T], state_names=["a"]), "a")["shift"]
+        > 1
+        > row(one([np.sin(20 * T)], state_names=["a"]), "a")["shift"]
+    )
     two = R([np.zeros((50, 1)) + 0.01 * rng.normal(size=(50, 1)), np.ones((50, 1))], None, 0.1)
     assert row(two, "x1")["jump"] < 0.1  # from one trajectory to the next is no jump
 
@@ -115,7 +143,9 @@ def test_a_multisine_excites_twice_as_deep_as_it_has_lines(lines):
 def test_spectrum_and_rank():
     recording = one([np.sin(2 * np.pi * 5 * T)], [np.sin(2 * np.pi * 2 * T) + 3])
     table = datachecks.spectrum(recording)
-    assert table["frequency"][table["x1"].argmax()] == pytest.approx(5, abs=0.1) and table["frequency"][table["u1"].argmax()] == pytest.approx(2, abs=0.1)
+    assert table["frequency"][table["x1"].argmax()] == pytest.approx(5, abs=0.1) and table["frequency"][
+        table["u1"].argmax()
+    ] == pytest.approx(2, abs=0.1)
     assert np.trapezoid(table["x1"], table["frequency"]) == pytest.approx(1, abs=0.02)
     facts = datachecks.check(recording).facts
     assert facts["rank"] == facts["channels"] == 3 and facts["condition"] < 5
@@ -136,7 +166,9 @@ def test_idle_channels_are_left_out_and_said():
     x = rng.normal(size=(200, 2))
     states = np.column_stack([x[:, 0], np.full(200, 3.5), np.degrees(x[:, 0]) + 1, x[:, 1]])
     inputs = np.column_stack([x @ [1, 2], rng.normal(size=200), np.zeros(200)])
-    used, remarks = preparation.without_idle_channels(R([states], [inputs], 0.1, state_names=["a", "still", "a_deg", "b"], input_names=["fed", "free", "off"]))
+    used, remarks = preparation.without_idle_channels(
+        R([states], [inputs], 0.1, state_names=["a", "still", "a_deg", "b"], input_names=["fed", "free", "off"])
+    )
     assert used.state_names == ("a", "b") and used.input_names == ("free",)
     assert remarks == [
         "still is constant (3.5) and was left out", "a_deg is a linear combination of a at every sample and was left out",
@@ -205,8 +237,15 @@ def test_long_recordings_are_smoothed_in_chunks_and_keep_their_length(monkeypatc
 
 def test_the_search_finds_what_made_the_data(identification, log):
     table = identification.search
-    assert table["chosen"].sum() == 1 and set(table["states"]) == {"as measured", "smoothed"} and set(table["predictor"]) == {"one_step"}
-    assert identification.model.dictionary.__class__.__name__ in ("Monomials", "Mechanical") and identification.model.delays == 0
+    assert (
+        table["chosen"].sum() == 1
+        and set(table["states"]) == {"as measured", "smoothed"}
+        and set(table["predictor"]) == {"one_step"}
+    )
+    assert (
+        identification.model.dictionary.__class__.__name__ in ("Monomials", "Mechanical")
+        and identification.model.delays == 0
+    )
     chosen, least = table[table["chosen"]].iloc[0], table["error"].min()
     assert chosen["error"] <= 1.1 * least
     assert chosen["functions"] == table[table["error"] <= 1.1 * least]["functions"].min()
@@ -251,11 +290,15 @@ def test_scores_are_the_metrics(log):
         assert mine.loc[("model", state), "enr"] == pytest.approx(tras.metrics.enr(windows.states, predicted)[i])
         pairs = log.cut(2)
         assert mine.loc[("model", state), "one_step"] == pytest.approx(
-            tras.metrics.nrmse(pairs.states[:, 1:], model.predict(pairs)[:, 1:], span=np.ptp(windows.states, axis=(0, 1)))[i]
+            tras.metrics.nrmse(
+                pairs.states[:, 1:], model.predict(pairs)[:, 1:], span=np.ptp(windows.states, axis=(0, 1))
+            )[i]
         )
     rise = growth(runs, windows, 0)
     error = (predicted - windows.states) / np.ptp(windows.states, axis=(0, 1))
-    assert np.allclose(rise["model"], 100 * np.sqrt(np.mean(error**2, axis=(0, 2)))[1:]) and rise["time"].iloc[0] == log.dt
+    assert (
+        np.allclose(rise["model"], 100 * np.sqrt(np.mean(error**2, axis=(0, 2)))[1:]) and rise["time"].iloc[0] == log.dt
+    )
     of_windows = np.sqrt(np.mean(error**2, axis=(1, 2)))
     typical, worst = typical_and_worst(runs["model"], windows, 0)
     assert worst == of_windows.argmax() and of_windows[typical] == np.sort(of_windows)[(len(of_windows) - 1) // 2]
@@ -267,7 +310,12 @@ def test_scores_are_the_metrics(log):
 
 
 def abouts(recording, **options):
-    return {each.about: each for each in tras.identify(recording, predictor="one_step", delays=[0], smoothing=False, draws=0, **options).advice}
+    return {
+        each.about: each
+        for each in tras.identify(
+            recording, predictor="one_step", delays=[0], smoothing=False, draws=0, **options
+        ).advice
+    }
 
 
 def test_a_good_recording_has_no_warning(identification):
@@ -302,7 +350,13 @@ def test_bad_recordings_are_told_what_is_wrong():
         "switch has few values",
     }
     assert expected <= set(told)
-    assert not {"near saturates", "a is noisy", "a drifts", "switch follows the states", "partly follows the states"} & set(told)
+    assert not {
+        "near saturates",
+        "a is noisy",
+        "a drifts",
+        "switch follows the states",
+        "partly follows the states",
+    } & set(told)
     order = [each.weight for each in told.values()]
     assert order == sorted(order, key=["stop", "warning", "note"].index)
 
@@ -343,7 +397,11 @@ def test_files_are_replaced_and_those_of_others_left(identification, log, tmp_pa
     monkeypatch.setattr(identify_files, "_figures", lambda *_: {})
     identify_files.write(identification, log, "<script>&.csv", folder)
     again = {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    left = {path.as_posix(): content for path, content in first.items() if path.parts[0] != "figures" and path.suffix not in (".html",)}
+    left = {
+        path.as_posix(): content
+        for path, content in first.items()
+        if path.parts[0] != "figures" and path.suffix not in (".html",)
+    }
     assert again.keys() == left.keys() | {"mine.txt", "report.html"}
     assert all(again[path] == content for path, content in left.items() if path != "contents.csv")  # the same bytes
     assert (tmp_path / "outside.txt").exists() and not list(tmp_path.glob(".*"))

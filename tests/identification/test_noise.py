@@ -48,7 +48,9 @@ def test_noise_has_the_size_that_was_asked_for_and_inputs_stay(swing):
     assert added.std(axis=0) == pytest.approx([0.01, 0.05] * np.ptp(swing.states, axis=(0, 1)), rel=0.05)
     assert np.abs(np.corrcoef(added.T)[0, 1]) < 0.1 and np.abs(added.mean(axis=0)).max() < 0.1 * added.std()
     assert np.array_equal(noisy.inputs, swing.inputs) and noisy.state_names == swing.state_names
-    assert np.array_equal(tras.add_noise(swing, 0.01, 3).states, tras.add_noise(swing, 0.01, np.random.default_rng(3)).states)
+    assert np.array_equal(
+        tras.add_noise(swing, 0.01, 3).states, tras.add_noise(swing, 0.01, np.random.default_rng(3)).states
+    )
     assert np.array_equal(tras.add_noise(swing, 0.0, 0).states, swing.states)
 
 
@@ -90,7 +92,13 @@ def dense_covariance(samples, order, channels, deviation, intensity):
     for _ in range(samples - 1):
         covariances.append(A @ covariances[-1] @ A.T + intensity * Q)
     powers = [np.linalg.matrix_power(A, k) for k in range(samples)]
-    blocks = [[(powers[max(i - j, 0)] @ covariances[min(i, j)] @ powers[max(j - i, 0)].T)[:channels, :channels] for j in range(samples)] for i in range(samples)]
+    blocks = [
+        [
+            (powers[max(i - j, 0)] @ covariances[min(i, j)] @ powers[max(j - i, 0)].T)[:channels, :channels]
+            for j in range(samples)
+        ]
+        for i in range(samples)
+    ]
     return np.block(blocks) + np.kron(np.eye(samples), np.diag(deviation**2))
 
 
@@ -130,7 +138,10 @@ def test_the_likelihood_is_the_dense_gaussian_one(order, channels, intensity):
     y = np.random.default_rng(5).standard_normal((20, channels))
     total = dense_covariance(20, order, channels, deviation, intensity)
     first = 3 * channels
-    density = [stats.multivariate_normal(np.zeros(k), total[:k, :k], allow_singular=True).logpdf(y.ravel()[:k]) for k in (20 * channels, first)]
+    density = [
+        stats.multivariate_normal(np.zeros(k), total[:k, :k], allow_singular=True).logpdf(y.ravel()[:k])
+        for k in (20 * channels, first)
+    ]
     numbers = 17 * channels
     expected = -(density[0] - density[1]) - numbers / 2 * np.log(2 * np.pi)
     here = smoothing._surprise([y], deviation, order, intensity) * 17
@@ -148,7 +159,9 @@ def test_smoothing_removes_noise_and_more_of_it_with_a_velocity(swing):
 
 def test_exact_data_stay_as_they_are():
     t = 0.02 * np.arange(400)
-    free = tras.Recording([np.stack([np.sin(w * t), w * np.cos(w * t)], axis=-1) for w in (1.0, 1.7)], dt=0.02, state_names=["q", "v"])
+    free = tras.Recording(
+        [np.stack([np.sin(w * t), w * np.cos(w * t)], axis=-1) for w in (1.0, 1.7)], dt=0.02, state_names=["q", "v"]
+    )
     assert np.all(error(tras.smooth(free, [("q", "v")]), free) < 1e-5)
 
 
@@ -224,7 +237,9 @@ def test_the_slopes_of_the_shooting_are_those_of_its_cost(swing):
     h = 1e-6
 
     def differences(change_W, change_start):
-        ends = [shooting.cost(model.W_ + s * h * change_W, [starts[0] + s * h * change_start, *starts[1:]]) for s in (1, -1)]
+        ends = [
+            shooting.cost(model.W_ + s * h * change_W, [starts[0] + s * h * change_start, *starts[1:]]) for s in (1, -1)
+        ]
         return (ends[0] - ends[1]) / (2 * h)
 
     for i, j in [(0, 0), (1, 3), (1, 7), (0, 9)]:
@@ -249,7 +264,9 @@ def test_refining_brings_the_field_near_the_truth(swing):
     plain = tras.KoopmanModel(tras.Mechanical(5)).fit(noisy)
     assert miss(refined) < 0.03 < 3 * miss(refined) < miss(plain)
     assert refined.refinement_[-1] == pytest.approx(1, abs=0.1) and refined.refinement_[-1] <= refined.refinement_[0]
-    assert np.array_equal(refined.W_[0], model.W_[0]) and not np.array_equal(refined.W_[1], model.W_[1])  # q' = v is kinematics
+    assert np.array_equal(refined.W_[0], model.W_[0]) and not np.array_equal(
+        refined.W_[1], model.W_[1]
+    )  # q' = v is kinematics
     assert not hasattr(model, "refinement_") and "refined on whole trajectories" in refined.report()
 
 
@@ -258,7 +275,9 @@ def test_a_bad_first_guess_is_followed_in_shorter_pieces(swing, monkeypatch):
     model = tras.KoopmanModel(tras.Mechanical(5)).fit(tras.smooth(noisy, [("q", "v")]))
     model.W_ = model.W_ * [[1.0], [1.6]]
     tried, shooting = [], refinement._Shooting
-    monkeypatch.setattr(refinement, "_Shooting", lambda m, r, rows, segment: tried.append(segment) or shooting(m, r, rows, segment))
+    monkeypatch.setattr(
+        refinement, "_Shooting", lambda m, r, rows, segment: tried.append(segment) or shooting(m, r, rows, segment)
+    )
     refined = tras.refine(model, noisy, iterations=12)
     assert tried == [400, 251, 126, 63][: len(tried)] and len(tried) > 1
     assert refined.refinement_[0] <= 2 or tried[-1] == 63
@@ -290,7 +309,11 @@ def test_a_chaotic_system_is_followed_in_short_pieces():
     def miss(m):
         return np.linalg.norm(m.vector_field(x, np.empty((len(x), 0))) - true) / np.linalg.norm(true)
 
-    assert refined.refinement_[-1] == pytest.approx(1, abs=0.1) and miss(refined) < 0.8 * miss(model) and miss(refined) < 0.01
+    assert (
+        refined.refinement_[-1] == pytest.approx(1, abs=0.1)
+        and miss(refined) < 0.8 * miss(model)
+        and miss(refined) < 0.01
+    )
 
 
 # --------------------------------------------------------------------------------------------------------------------- mistakes
@@ -303,13 +326,22 @@ def test_a_chaotic_system_is_followed_in_short_pieces():
         (lambda r, m: tras.add_noise(r, [0.1, 0.1, 0.1], 0), "or 2 of them"),
         (lambda r, m: tras.add_noise(r, np.nan, 0), "level is nan"),
         (lambda r, m: tras.add_noise(r, 0.1, None), "rng is None; give a numpy.random.Generator or a seed"),
-        (lambda r, m: tras.noise_level(tras.Recording([np.arange(3.0)[:, None]], dt=1.0)), "longest trajectory has 3 samples"),
+        (
+            lambda r, m: tras.noise_level(tras.Recording([np.arange(3.0)[:, None]], dt=1.0)),
+            "longest trajectory has 3 samples",
+        ),
         (lambda r, m: tras.smooth(r.cut(8)[[0]]), "longest trajectory has 8 samples; smoothing needs 10"),
         (lambda r, m: tras.smooth(r, ["qv"]), "pairs holds 'qv'; give pairs of names"),
         (lambda r, m: tras.smooth(r, [("q", "speed")]), "there is no state 'speed'; there are q, v"),
         (lambda r, m: tras.smooth(r, [("q", "v"), ("v", "q")]), "'q' stands twice|'v' stands twice"),
-        (lambda r, m: tras.refine(tras.KoopmanModel(tras.Monomials(1)), r), "refine needs a model with a vector field; fit"),
-        (lambda r, m: tras.refine(tras.KoopmanModel(tras.Monomials(1), "one_step").fit(r), r), "refine needs a model with a vector field"),
+        (
+            lambda r, m: tras.refine(tras.KoopmanModel(tras.Monomials(1)), r),
+            "refine needs a model with a vector field; fit",
+        ),
+        (
+            lambda r, m: tras.refine(tras.KoopmanModel(tras.Monomials(1), "one_step").fit(r), r),
+            "refine needs a model with a vector field",
+        ),
         (lambda r, m: tras.refine(m, r, rows=["a"]), "rows: there is no state 'a'; name one or more of q, v"),
         (lambda r, m: tras.refine(m, r, rows=[]), "rows: there is no state ''"),
         (lambda r, m: tras.refine(m, r, iterations=0), "iterations is 0; give a whole number, 1 or more"),

@@ -17,7 +17,9 @@ def torque_data(experiment):
 
 @pytest.mark.slow
 def test_a_mechanical_system_gets_the_mechanical_dictionary(torque_data):
-    model, table = tras.choose(torque_data, [tras.KoopmanModel(d) for d in (tras.Monomials(1), tras.Monomials(2), tras.Mechanical(6))])
+    model, table = tras.choose(
+        torque_data, [tras.KoopmanModel(d) for d in (tras.Monomials(1), tras.Monomials(2), tras.Mechanical(6))]
+    )
     assert isinstance(model.dictionary, tras.Mechanical) and model.pairs_ == torque_data.pairs
     assert list(table["chosen"]) == [False, False, True] and table["error"].idxmin() == 2
     assert table["error"].iloc[2] < 0.1 * table["error"].iloc[0] and list(table["functions"]) == [7, 28, 63]
@@ -52,10 +54,17 @@ def test_delays_are_compared_from_the_same_instant():
 
 def test_what_cannot_be_fitted_says_why_and_the_rest_compete(torque_data):
     few = torque_data[:8].cut(21)
-    models = [tras.KoopmanModel(tras.Monomials(5), "one_step", regularization=None), tras.KoopmanModel(tras.Monomials(1), "one_step")]
+    models = [
+        tras.KoopmanModel(tras.Monomials(5), "one_step", regularization=None),
+        tras.KoopmanModel(tras.Monomials(1), "one_step"),
+    ]
     few = few[list(range(20))]
     model, table = tras.choose(few, models)
-    assert model.dictionary.degree == 1 and "cannot determine 462 functions" in table["failure"].iloc[0] and np.isinf(table["error"].iloc[0])
+    assert (
+        model.dictionary.degree == 1
+        and "cannot determine 462 functions" in table["failure"].iloc[0]
+        and np.isinf(table["error"].iloc[0])
+    )
 
 
 def test_candidates_fit_the_recording(torque_data):
@@ -65,15 +74,25 @@ def test_candidates_fit_the_recording(torque_data):
     assert [type(d).__name__ for d in small] == ["Monomials", "Mechanical"]
     wide = tras.Recording(np.random.default_rng(0).standard_normal((10, 500, 31)), dt=0.1)
     assert all(getattr(model.dictionary, "degree", 1) == 1 for model in tras.candidates(wide))
-    assert not any(isinstance(m.dictionary, tras.Mechanical) for m in tras.candidates(torque_data, "one_step", delays=1))
+    assert not any(
+        isinstance(m.dictionary, tras.Mechanical) for m in tras.candidates(torque_data, "one_step", delays=1)
+    )
 
 
 @pytest.mark.parametrize(
     "call, words",
     [
         (lambda r: tras.choose(r, []), "models holds no candidate"),
-        (lambda r: tras.choose(r[[0]].cut(11)[[0]], [tras.KoopmanModel(tras.Monomials(1))]), "10 snapshot pairs, too few to hold"),
-        (lambda r: tras.choose(r[:6].cut(11)[list(range(20))], [tras.KoopmanModel(tras.Monomials(4), regularization=None)]), "none of the 1 candidates could be fitted; the last one because"),
+        (
+            lambda r: tras.choose(r[[0]].cut(11)[[0]], [tras.KoopmanModel(tras.Monomials(1))]),
+            "10 snapshot pairs, too few to hold",
+        ),
+        (
+            lambda r: tras.choose(
+                r[:6].cut(11)[list(range(20))], [tras.KoopmanModel(tras.Monomials(4), regularization=None)]
+            ),
+            "none of the 1 candidates could be fitted; the last one because",
+        ),
     ],
 )
 def test_mistakes_are_named(call, words, torque_data):

@@ -21,7 +21,11 @@ R = tras.Recording
 OWN = (".nc", ".csv", ".parquet", ".mat")
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
 names = st.text(min_size=1, max_size=8).filter(
-    lambda text: text not in ("trajectory", "time", "sample", "row_size", ".") and not set(text) & set("/\0") and text.isprintable()
+    lambda text: (
+        text not in ("trajectory", "time", "sample", "row_size", ".")
+        and not set(text) & set("/\0")
+        and text.isprintable()
+    )
 )
 LOGGER = "t [s];phi [deg];u1 [V]\n0,00;1,5;-1\n0,01;2,5;-1\n0,02;1e-3;2,25\n"
 
@@ -46,11 +50,22 @@ def said(recording):
 
 
 @settings(max_examples=40, deadline=None)
-@given(lengths=st.lists(st.integers(1, 6), min_size=1, max_size=4), n=st.integers(1, 3), m=st.integers(0, 2), data=st.data())
+@given(
+    lengths=st.lists(st.integers(1, 6), min_size=1, max_size=4),
+    n=st.integers(1, 3),
+    m=st.integers(0, 2),
+    data=st.data(),
+)
 def test_round_trips_are_exact(lengths, n, m, data, tmp_path_factory):
     draw = lambda k, c: np.array(data.draw(st.lists(finite, min_size=k * c, max_size=k * c))).reshape(k, c)  # noqa: E731
     labels = data.draw(st.lists(names, min_size=n + m, max_size=n + m, unique=True))
-    units = data.draw(st.lists(st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=5), min_size=n, max_size=n))
+    units = data.draw(
+        st.lists(
+            st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=5),
+            min_size=n,
+            max_size=n,
+        )
+    )
     recording = R([draw(k, n) for k in lengths], [draw(k, m) for k in lengths], data.draw(st.floats(1e-6, 1e6)), state_names=labels[:n],
                   input_names=labels[n:], state_units=units, attributes={"seed": 3, "nested": [None, {"a": 0.1}]})  # fmt: skip
     folder = tmp_path_factory.mktemp("own")
@@ -75,7 +90,9 @@ def test_other_tools_open_ours(experiment, tmp_path):
     assert np.array_equal(table["phidot"], np.concatenate(experiment.states)[:, 1])
     assert pandas.read_parquet(tmp_path / "a.parquet").equals(experiment.to_frame())
     content = loadmat(tmp_path / "a.mat", simplify_cells=True)
-    assert np.array_equal(np.stack(content["states"]), experiment.states) and list(content["state_names"]) == list(experiment.state_names)
+    assert np.array_equal(np.stack(content["states"]), experiment.states) and list(content["state_names"]) == list(
+        experiment.state_names
+    )
 
 
 @pytest.mark.parametrize("suffix", [".nc", ".parquet", ".mat"])
@@ -115,7 +132,7 @@ PLAIN = np.array([[1.5], [2.5], [1e-3]]), np.array([[-1.0], [-1.0], [2.25]])
         "t,phi,u1\ns,deg,V\n0.00,1.5,-1\n0.01,2.5,-1\n0.02,1e-3,2.25\n",
         "t,phi,u1\n[s],[deg],[V]\n0.00,1.5,-1\n0.01,2.5,-1\n0.02,1e-3,2.25",
         "t (ms),phi (deg),u1 (V)\n0,1.5,-1\n10,2.5,-1\n20,0.001,2.25\n",
-        "comment,t [s],phi [deg],u1 [V]\nstart,0.00,1.5,-1\n,0.01,2.5,-1\n\"a, b\",0.02,1e-3,2.25\n",
+        'comment,t [s],phi [deg],u1 [V]\nstart,0.00,1.5,-1\n,0.01,2.5,-1\n"a, b",0.02,1e-3,2.25\n',
         't [s],phi [deg],u1 [V]\n"0,00","1,5",-1\n"0,01","2,5",-1\n"0,02","0,001","2,25"\n',
         "time,phi [deg],u1 [V]\n2026-02-28 23:59:59.990,1.5,-1\n2026-03-01 00:00:00.000,2.5,-1\n2026-03-01 00:00:00.010,1e-3,2.25\n",
     ],
@@ -124,7 +141,12 @@ def test_tables_as_loggers_and_spreadsheets_write_them(content, tmp_path):
     recording = R.read(write(tmp_path / "log.csv", content))
     assert np.array_equal(recording.states[0], PLAIN[0]) and np.array_equal(recording.inputs[0], PLAIN[1])
     assert recording.dt == 0.01
-    assert (recording.state_names, recording.input_names, recording.state_units, recording.input_units) == (("phi",), ("u1",), ("deg",), ("V",))
+    assert (recording.state_names, recording.input_names, recording.state_units, recording.input_units) == (
+        ("phi",),
+        ("u1",),
+        ("deg",),
+        ("V",),
+    )
     assert "states are phi." in said(recording) and "sampling time is 0.01 s" in said(recording)
 
 
@@ -146,7 +168,12 @@ EVEN = [(k / 10, k * k, -k) for k in range(8)]
 
 
 def changed(row, column, value):
-    return table([tuple(value if (i, j) == (row, column) else cell for j, cell in enumerate(cells)) for i, cells in enumerate(EVEN)])
+    return table(
+        [
+            tuple(value if (i, j) == (row, column) else cell for j, cell in enumerate(cells))
+            for i, cells in enumerate(EVEN)
+        ]
+    )
 
 
 @pytest.mark.parametrize(
@@ -155,7 +182,10 @@ def changed(row, column, value):
         ("", "it has no rows"),
         ("\n\n", "it has no rows"),
         ("t,q,u\n", "a header but no row"),
-        ("a,b,c\n1,2,3\n2,3,4\n", r"no column is plainly a state or an output; the file has the columns a, b, c; .*\n    time: a\n    states: \[b\]\n    inputs: \[c\]"),
+        (
+            "a,b,c\n1,2,3\n2,3,4\n",
+            r"no column is plainly a state or an output; the file has the columns a, b, c; .*\n    time: a\n    states: \[b\]\n    inputs: \[c\]",
+        ),
         ("q,u\n1,2\n2,3\n", "no column is plainly time"),
         ("t,time,q\n1,1,3\n2,2,4\n", "t and time could each be the column of time"),
         ("0,1\n1,2\n", "no names above them"),
@@ -170,9 +200,15 @@ def changed(row, column, value):
         (changed(3, 1, '"1'), "line 9: unexpected end of data; look for a quotation mark"),
         (changed(3, 0, 0.2), "line 5: the time 0.2 s in column 't' stands there twice"),
         (changed(3, 0, 0.1), "line 5: time goes backwards in column 't', from 0.2 to 0.1 s; .*`trial: t`"),
-        (changed(7, 0, 0.75), "time is uneven in column 't': 1 of 7 steps differ from the median, 0.1 s, by more than 1 %, the first at line 9;.* between 0.1 and 0.15 s.*resample=0.1 "),
+        (
+            changed(7, 0, 0.75),
+            "time is uneven in column 't': 1 of 7 steps differ from the median, 0.1 s, by more than 1 %, the first at line 9;.* between 0.1 and 0.15 s.*resample=0.1 ",
+        ),
         (table([(0, 1, "")] * 3), "no two rows in succession are complete"),
-        (table([(0, 1, 1, "a"), (1, 2, 2, "b"), (2, 1, 1, "a")], "t,q,u,run"), "line 4: trial a of column 'run' begins a second time"),
+        (
+            table([(0, 1, 1, "a"), (1, 2, 2, "b"), (2, 1, 1, "a")], "t,q,u,run"),
+            "line 4: trial a of column 'run' begins a second time",
+        ),
         (table([(0, 1, 1, ""), (1, 2, 2, "b")], "t,q,u,run"), "line 2: the trial's column 'run' is empty"),
         (table(EVEN, "t [rpm],q,u"), "has the unit 'rpm'; give one of s"),
         (b"t,q\n0,\x00\x01\n", "zero byte near line 2"),
@@ -191,8 +227,13 @@ def test_what_is_wrong_with_a_table_is_one_sentence_with_its_place(content, word
 def test_trajectories_are_cut_where_a_value_is_missing(cell, tmp_path):
     path = write(tmp_path / "a.csv", changed(3, 1, cell))
     recording = R.read(path)
-    assert [x[:, 0].tolist() for x in recording.states] == [[0, 1, 4], [16, 25, 36, 49]] and recording.inputs[1][0] == -4
-    assert "missing (empty, NaN or infinite) in 1 rows, the first: q at line 5; cut the trajectories there: 2 are left" in said(recording)
+    assert [x[:, 0].tolist() for x in recording.states] == [[0, 1, 4], [16, 25, 36, 49]] and recording.inputs[1][
+        0
+    ] == -4
+    assert (
+        "missing (empty, NaN or infinite) in 1 rows, the first: q at line 5; cut the trajectories there: 2 are left"
+        in said(recording)
+    )
     with pytest.raises(tras.RecordingError, match="in 1 rows, the first: q at line 5; repair"):
         R.read(path, missing="refuse")
 
@@ -228,7 +269,9 @@ def test_jitter_is_tolerated_as_said_and_resampled_only_when_asked(tmp_path):
     assert R.read(path, tolerance=0.25).dt == pytest.approx(0.01, rel=1e-3)
     recording = R.read(path, resample=0.004)
     grid = t[0] + 0.004 * np.arange(len(recording.states[0]))
-    assert np.allclose(recording.states[0, :, 0], 3 * grid + 1, atol=1e-12) and grid[-1] <= t[-1] < grid[-1] + 0.004  # linear: exact on a line
+    assert (
+        np.allclose(recording.states[0, :, 0], 3 * grid + 1, atol=1e-12) and grid[-1] <= t[-1] < grid[-1] + 0.004
+    )  # linear: exact on a line
     held = [np.floor(t * 10)[t <= instant + 1e-12][-1] for instant in grid]
     assert np.array_equal(recording.inputs[0, :, 0], held)
     assert recording.dt == 0.004 and "linear for states, the last value held for inputs" in said(recording)
@@ -238,7 +281,9 @@ def test_resampling_at_the_sampling_time_changes_nothing(tmp_path):
     t = np.arange(1000) * 0.01
     path = write(tmp_path / "a.csv", table(zip(t, np.sin(t), np.arange(1000))))
     recording = R.read(path, resample=0.01)
-    assert np.array_equal(recording.inputs[0, :, 0], np.arange(1000)) and np.allclose(recording.states[0, :, 0], np.sin(t), atol=1e-15)
+    assert np.array_equal(recording.inputs[0, :, 0], np.arange(1000)) and np.allclose(
+        recording.states[0, :, 0], np.sin(t), atol=1e-15
+    )
 
 
 @pytest.mark.parametrize("dt", [0.01, 1 / 30, 0.1, 0.002, 1 / 3, 7.0])
@@ -264,7 +309,10 @@ def test_the_sampling_time_is_the_plain_number_behind_the_stamps(dt, digits, sta
         ("trial", "run trial_no Episode experimentId"),
         ("states", "q q1 qd dq2 x x_3 xdot y12 theta thetaDot theta_dot PHI yaw_rate motorAngle state position_x vel"),
         ("inputs", "u u1 U_2 u_phi input3 torque motorTorque tau_1 tau_yaw pwm left_voltage cmd"),
-        (None, "ref theta_ref u_ref phi_u setpoint torque_angle temperature quantity uptime note column1 index error xray"),
+        (
+            None,
+            "ref theta_ref u_ref phi_u setpoint torque_angle temperature quantity uptime note column1 index error xray",
+        ),
     ],
 )
 def test_plain_names(role, words):
@@ -292,11 +340,21 @@ def test_mistakes_in_roles_are_named(roles, words):
 
 def test_roles_of_a_yaml_file(tmp_path):
     path = write(tmp_path / "a.csv", "stamp,a,b,c\n0,1,2,3\n20,4,5,6\n")
-    roles = write(tmp_path / "roles.yaml", "time: stamp\noutputs: [b, a]\ninputs: c\nunits: {stamp: ms, a: rad, c: N m}\n")
+    roles = write(
+        tmp_path / "roles.yaml", "time: stamp\noutputs: [b, a]\ninputs: c\nunits: {stamp: ms, a: rad, c: N m}\n"
+    )
     recording = R.read(path, roles)
-    assert recording.states.tolist() == [[[2, 1], [5, 4]]] and recording.inputs.tolist() == [[[3], [6]]] and recording.dt == 0.02
+    assert (
+        recording.states.tolist() == [[[2, 1], [5, 4]]]
+        and recording.inputs.tolist() == [[[3], [6]]]
+        and recording.dt == 0.02
+    )
     assert recording.state_units == ("", "rad") and recording.input_units == ("N m",)
-    for content, words in (("- a", "holds no mapping"), ("a: [", "is no YAML"), ("!!python/object/apply:os.system [ls]", "is no YAML")):
+    for content, words in (
+        ("- a", "holds no mapping"),
+        ("a: [", "is no YAML"),
+        ("!!python/object/apply:os.system [ls]", "is no YAML"),
+    ):
         with pytest.raises(tras.RecordingError, match=words):
             R.read(path, write(roles, content))
     with pytest.raises(tras.RecordingError, match="cannot be opened"):
@@ -342,8 +400,12 @@ def test_a_parquet_of_ours_that_lost_its_description_is_refused(metadata, experi
 
 
 def test_parquet_units_and_nested_columns(tmp_path):
-    fields = [pyarrow.field(name, pyarrow.float64(), metadata={"unit": unit}) for name, unit in (("t", "ms"), ("q", "rad"))]
-    table = pyarrow.table([[0.0, 5.0], [1.0, 2.0]], schema=pyarrow.schema(fields)).append_column("x", [[[1.0], [2.0, 3.0]]])
+    fields = [
+        pyarrow.field(name, pyarrow.float64(), metadata={"unit": unit}) for name, unit in (("t", "ms"), ("q", "rad"))
+    ]
+    table = pyarrow.table([[0.0, 5.0], [1.0, 2.0]], schema=pyarrow.schema(fields)).append_column(
+        "x", [[[1.0], [2.0, 3.0]]]
+    )
     pyarrow.parquet.write_table(table, tmp_path / "a.parquet")
     assert R.read(tmp_path / "a.parquet", {"states": "q"}).dt == 0.005
     assert R.read(tmp_path / "a.parquet", {"states": "q"}).state_units == ("rad",)
@@ -377,13 +439,17 @@ LAYOUTS = {
     "sampling rate": {"log": {"x": X, "u": U, "fs": 4.0}},
     "timeseries-like": {"x": {"Time": TIME, "Data": X}, "u": {"Time": TIME, "Data": U.reshape(1, 1, K)}},
     "timeseries in a struct": {"out": {"x": {"Time": TIME, "Data": X}, "u": {"Time": TIME, "Data": U}}},
-    "structure with time": {"out": {"time": TIME, "signals": fields([{"values": X, "label": "x"}, {"values": U, "label": "u"}])}},
+    "structure with time": {
+        "out": {"time": TIME, "signals": fields([{"values": X, "label": "x"}, {"values": U, "label": "u"}])}
+    },
 }
 TRIALS = {
     "cells of matrices": {"t": cell(TIME, TIME[SHORT]), "x": cell(X, X[SHORT]), "u": cell(U, U[SHORT])},
     "cells, sampling time": {"x": cell(X, X[SHORT]), "u": cell(U, U[SHORT]), "dt": 0.25},
     "a cell of structs": {"runs": cell({"t": TIME, "x": X, "u": U}, {"t": TIME[SHORT], "x": X[SHORT], "u": U[SHORT]})},
-    "an array of structs": {"data": {"runs": fields([{"t": TIME, "x": X, "u": U}, {"t": TIME[SHORT], "x": X[SHORT], "u": U[SHORT]}])}},
+    "an array of structs": {
+        "data": {"runs": fields([{"t": TIME, "x": X, "u": U}, {"t": TIME[SHORT], "x": X[SHORT], "u": U[SHORT]}])}
+    },
 }
 
 
@@ -408,11 +474,17 @@ def _hdf_value(file, group, name, value):
         for key in value.dtype.names:
             item.create_dataset(key, data=_references(file, value[key].ravel()), dtype=h5py.ref_dtype)
     elif isinstance(value, np.ndarray) and value.dtype == object:
-        group.create_dataset(name, data=_references(file, value.ravel()), dtype=h5py.ref_dtype).attrs["MATLAB_class"] = np.bytes_("cell")
+        group.create_dataset(name, data=_references(file, value.ravel()), dtype=h5py.ref_dtype).attrs[
+            "MATLAB_class"
+        ] = np.bytes_("cell")
     elif isinstance(value, str):
-        group.create_dataset(name, data=np.array([[ord(letter)] for letter in value], dtype="u2")).attrs["MATLAB_class"] = np.bytes_("char")
+        group.create_dataset(name, data=np.array([[ord(letter)] for letter in value], dtype="u2")).attrs[
+            "MATLAB_class"
+        ] = np.bytes_("char")
     else:
-        group.create_dataset(name, data=np.atleast_2d(np.asarray(value, dtype=float)).T).attrs["MATLAB_class"] = np.bytes_("double")
+        group.create_dataset(name, data=np.atleast_2d(np.asarray(value, dtype=float)).T).attrs["MATLAB_class"] = (
+            np.bytes_("double")
+        )
 
 
 def _references(file, values):
@@ -425,7 +497,11 @@ def _references(file, values):
     return np.array([found], dtype=h5py.ref_dtype).T
 
 
-WRITERS = {"v5": savemat, "v5 compressed": lambda path, content: savemat(path, content, do_compression=True), "v7.3": hdf}
+WRITERS = {
+    "v5": savemat,
+    "v5 compressed": lambda path, content: savemat(path, content, do_compression=True),
+    "v7.3": hdf,
+}
 
 
 @pytest.mark.parametrize("writer", WRITERS)
@@ -492,7 +568,11 @@ def test_what_newer_matlab_files_cannot_hold(kind, words, tmp_path):
             file["z"] = np.zeros((3, 1), dtype=[("real", "f8"), ("imag", "f8")])
         else:
             file["z"] = np.zeros((3, 1))
-            file["z"].attrs.update({"MATLAB_sparse": 3} if kind == "sparse" else {"MATLAB_class": np.bytes_(kind), "MATLAB_object_decode": 3})
+            file["z"].attrs.update(
+                {"MATLAB_sparse": 3}
+                if kind == "sparse"
+                else {"MATLAB_class": np.bytes_(kind), "MATLAB_object_decode": 3}
+            )
     with pytest.raises(tras.RecordingError, match=f"'z.*{words}|{words}"):
         R.read(tmp_path / "a.mat")
 
@@ -553,7 +633,10 @@ def test_tables_that_announce_absurd_sizes_are_refused_before_room_is_made(tmp_p
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(suffix=st.sampled_from(OWN), content=st.binary(max_size=200) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "replace")))
+@given(
+    suffix=st.sampled_from(OWN),
+    content=st.binary(max_size=200) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "replace")),
+)
 def test_arbitrary_content_is_a_recording_or_a_sentence(suffix, content, tmp_path):
     path = write(tmp_path / f"a{suffix}", content)
     try:
@@ -562,7 +645,13 @@ def test_arbitrary_content_is_a_recording_or_a_sentence(suffix, content, tmp_pat
         assert str(error).startswith(str(path)) and "Error:" not in str(error).partition("Parquet")[0]
 
 
-tables = st.lists(st.lists(st.sampled_from(["t", "q", "u", "0", "1", "2.5", "1,5", "", "nan", '"', "#", "[s]", "-3e2", " ", "inf"]), max_size=4), max_size=6)
+tables = st.lists(
+    st.lists(
+        st.sampled_from(["t", "q", "u", "0", "1", "2.5", "1,5", "", "nan", '"', "#", "[s]", "-3e2", " ", "inf"]),
+        max_size=4,
+    ),
+    max_size=6,
+)
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -590,7 +679,15 @@ def test_headers_of_our_own_that_lie(tmp_path):
     R(np.arange(8.0).reshape(1, 4, 2), dt=0.1).write(path := tmp_path / "a.csv")
     first, rest = path.read_text().split("\n", 1)
     header = json.loads(first.removeprefix("# tras recording 2: "))
-    for key, value in (("states", 3), ("states", ["x1", "x9"]), ("dt", "fast"), ("dt", -1), ("attributes", [1]), ("state_units", ["rad"]), ("inputs", None)):
+    for key, value in (
+        ("states", 3),
+        ("states", ["x1", "x9"]),
+        ("dt", "fast"),
+        ("dt", -1),
+        ("attributes", [1]),
+        ("state_units", ["rad"]),
+        ("inputs", None),
+    ):
         write(path, f"# tras recording 2: {json.dumps({**header, key: value})}\n{rest}")
         if (key, value) != ("inputs", None):
             with pytest.raises(tras.RecordingError):

@@ -37,7 +37,12 @@ def model(**options):
 
 
 def same(a, b):
-    return np.array_equal(a.koopman_matrix, b.koopman_matrix) and np.array_equal(a.x_scale_, b.x_scale_) and a.names_ == b.names_ and a.pairs_ == b.pairs_
+    return (
+        np.array_equal(a.koopman_matrix, b.koopman_matrix)
+        and np.array_equal(a.x_scale_, b.x_scale_)
+        and a.names_ == b.names_
+        and a.pairs_ == b.pairs_
+    )
 
 
 @pytest.mark.parametrize("options", [{"chunk": CHUNK}, {}, {"chunk": CHUNK, "parts": 3}])
@@ -67,7 +72,9 @@ def test_datasets_in_memory_and_of_parts_of_the_channels(path):
     assert same(model().fit(shuffled, chunk=CHUNK), model().fit(path, chunk=CHUNK))
     part = RecordingDataset(recording.to_xarray()).select(states=["p", "q"], inputs=[])
     assert [piece.pairs for piece in part.pieces(3000)] == [3000, 1000, 1, 2599]
-    assert all(np.array_equal(piece.x, x) for piece, (x, _) in zip(part.pieces(10_000), recording.select(states=["p", "q"])))
+    assert all(
+        np.array_equal(piece.x, x) for piece, (x, _) in zip(part.pieces(10_000), recording.select(states=["p", "q"]))
+    )
     single = recording.to_xarray()
     assert model().fit(single.assign(q=single["q"].astype("float32")), chunk=CHUNK).pairs_ == recording.pairs
 
@@ -76,7 +83,9 @@ def test_datasets_in_memory_and_of_parts_of_the_channels(path):
 def test_only_slices_are_in_memory(tmp_path, opened):
     rng = np.random.default_rng(0)
     tras.Recording(rng.normal(size=(1, 400_000, 2)), None, 0.1).write(tmp_path / "long.nc")
-    with xarray.open_dataset(tmp_path / "long.nc", engine="h5netcdf", **(opened and {"chunks": {"sample": 20_000}})) as dataset:
+    with xarray.open_dataset(
+        tmp_path / "long.nc", engine="h5netcdf", **(opened and {"chunks": {"sample": 20_000}})
+    ) as dataset:
         source = RecordingDataset(dataset)
         tracemalloc.start()
         for piece in source.pieces(20_000):
@@ -96,7 +105,10 @@ def test_a_bad_number_in_the_middle_is_named_and_the_checkpoint_kept(path, tmp_p
         def __iter__(self):
             yield next(given)
 
-    with pytest.raises(UnreadableError, match="the dataset: channel 'p' is nan in trajectory 2 at sample 1900; repair .*is kept in .*a.npz"):
+    with pytest.raises(
+        UnreadableError,
+        match="the dataset: channel 'p' is nan in trajectory 2 at sample 1900; repair .*is kept in .*a.npz",
+    ):
         model().fit(source := Damaged(), chunk=CHUNK, checkpoint=checkpoint)
     assert same(model().fit(source, chunk=CHUNK, checkpoint=checkpoint), model().fit(good, chunk=CHUNK))
 
@@ -107,10 +119,19 @@ def test_a_bad_number_in_the_middle_is_named_and_the_checkpoint_kept(path, tmp_p
         (lambda d: xarray.Dataset({"a": ("sample", [1.0])}), "its attribute 'format' is None, not 'tras recording 2'"),
         (lambda d: d.isel(sample=slice(10)), "row_size sums to 6603 but there are 10 samples"),
         (lambda d: d.drop_vars("row_size"), "'row_size'"),
-        (lambda d: d.assign(q=d["q"].astype("timedelta64[ns]")), "'q' is timedelta64.ns. along sample, not numbers along sample"),
-        (lambda d: d.assign(q=("trajectory", [1.0, 2.0, 3.0], d["q"].attrs)), "'q' is float64 along trajectory, not numbers along sample"),
+        (
+            lambda d: d.assign(q=d["q"].astype("timedelta64[ns]")),
+            "'q' is timedelta64.ns. along sample, not numbers along sample",
+        ),
+        (
+            lambda d: d.assign(q=("trajectory", [1.0, 2.0, 3.0], d["q"].attrs)),
+            "'q' is float64 along trajectory, not numbers along sample",
+        ),
     ],
 )
 def test_other_datasets_are_refused(path, change, words):
-    with pytest.raises(ValueError, match=f"the dataset cannot be read as a recording .*{words}.*; open a file that Recording.write has written"):
+    with pytest.raises(
+        ValueError,
+        match=f"the dataset cannot be read as a recording .*{words}.*; open a file that Recording.write has written",
+    ):
         model().fit(change(tras.Recording.read(path).to_xarray()), chunk=CHUNK)

@@ -57,9 +57,14 @@ def test_none_and_several_workers_agree_to_the_bit(paths, cluster):
 
 def test_the_strength_is_chosen_on_the_same_windows(paths):
     """Held out by whatever part they lie in: the choice is that of a fit without parts."""
-    plain, spread = model(strength="auto").fit(paths, chunk=CHUNK), model(strength="auto").fit(paths, chunk=CHUNK, parts=3)
+    plain, spread = (
+        model(strength="auto").fit(paths, chunk=CHUNK),
+        model(strength="auto").fit(paths, chunk=CHUNK, parts=3),
+    )
     assert spread.strength_ == plain.strength_ and spread.pairs_ == plain.pairs_
-    assert [spread.errors_[s] for s in spread.errors_] == pytest.approx([plain.errors_[s] for s in plain.errors_], rel=1e-6)
+    assert [spread.errors_[s] for s in spread.errors_] == pytest.approx(
+        [plain.errors_[s] for s in plain.errors_], rel=1e-6
+    )
 
 
 def test_recordings_in_memory_and_other_predictors(paths):
@@ -95,11 +100,17 @@ def test_a_worker_killed_on_the_way_costs_time_only(paths, cluster, tmp_path, mo
 @pytest.mark.slow
 def test_one_local_process_has_the_same_bits(paths, monkeypatch):
     monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")
-    assert same(model().fit(paths, chunk=CHUNK, parts=4), model().fit(paths, chunk=CHUNK, parts=4, scheduler="processes"))
+    assert same(
+        model().fit(paths, chunk=CHUNK, parts=4), model().fit(paths, chunk=CHUNK, parts=4, scheduler="processes")
+    )
 
 
 def test_a_part_that_kills_every_worker_is_named(paths, monkeypatch):
-    monkeypatch.setattr(executors, "_processes", lambda work, jobs, *_: ((k, lambda: executors.Lost("its process was killed")) for k in range(len(jobs))))
+    monkeypatch.setattr(
+        executors,
+        "_processes",
+        lambda work, jobs, *_: ((k, lambda: executors.Lost("its process was killed")) for k in range(len(jobs))),
+    )
     with pytest.raises(SchedulerError, match="part 0 of 3 was lost: its process was killed; use a smaller chunk"):
         model().fit(paths, chunk=CHUNK, parts=3, scheduler="processes")
 
@@ -116,7 +127,9 @@ def test_workers_with_other_versions_are_named(paths, cluster):
     with Client(cluster.scheduler_address, set_as_default=False) as client:
         was = next(iter(client.run(pretend, "1.0").values()))
         try:
-            with pytest.raises(SchedulerError, match=r"worker tcp://.* has numpy 1.0 but .* is needed; install environment.txt there"):
+            with pytest.raises(
+                SchedulerError, match=r"worker tcp://.* has numpy 1.0 but .* is needed; install environment.txt there"
+            ):
                 model().fit(paths, chunk=CHUNK, scheduler=cluster.scheduler_address)
         finally:
             client.run(pretend, was)
@@ -129,7 +142,13 @@ def test_a_part_that_fails_says_why(paths, cluster, tmp_path):
     file = tras.open_recording(copy)
     pendulum(9001, 7).select(inputs=[]).write(copy)
     with pytest.raises(ValueError, match="copy.nc: channel 'u' of trajectory 0 cannot be read"):
-        model().fit([file], chunk=CHUNK, parts=2, scheduler=cluster.scheduler_address, ranges={"phi": (-3, 3), "phidot": (-3, 3), "u": (-2, 2)})
+        model().fit(
+            [file],
+            chunk=CHUNK,
+            parts=2,
+            scheduler=cluster.scheduler_address,
+            ranges={"phi": (-3, 3), "phidot": (-3, 3), "u": (-2, 2)},
+        )
 
 
 @pytest.mark.parametrize(

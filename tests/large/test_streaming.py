@@ -27,7 +27,9 @@ def long_recording(parameters):
     reference = tras.multisine(sum(LENGTHS) * 0.01, 0.01, [0.5, 1.2], [1.0, 2.5], np.random.default_rng(1))
     log = tras.simulate_closed_loop(reference, 0.01, parameters).select(inputs=["u_phi", "u_psi"])
     ends = np.cumsum(LENGTHS)
-    x, u = (np.ascontiguousarray(v[0, : ends[-1]]) for v in (log.states, log.inputs))  # as they come from a file: sums depend on the layout
+    x, u = (
+        np.ascontiguousarray(v[0, : ends[-1]]) for v in (log.states, log.inputs)
+    )  # as they come from a file: sums depend on the layout
     labels = {name: getattr(log, name) for name in ("state_names", "input_names", "state_units", "input_units")}
     return tras.Recording(np.split(x, ends[:-1]), np.split(u, ends[:-1]), 0.01, **labels)
 
@@ -64,7 +66,11 @@ def test_pieces_hold_every_pair_once_in_order(lengths, size, delays, length, dat
     # The same, when some windows are taken out of each piece: apart and together they are what there was.
     apart, left = [], []
     for piece in pieces:
-        starts = data.draw(st.lists(st.integers(0, max(0, piece.pairs // length - 1)), unique=True)) if piece.pairs >= length else []
+        starts = (
+            data.draw(st.lists(st.integers(0, max(0, piece.pairs // length - 1)), unique=True))
+            if piece.pairs >= length
+            else []
+        )
         starts = sorted(length * k for k in starts)
         apart += [tuple(piece.x[s + k : s + k + delays + 2, 0]) for s in starts for k in range(length)]
         left += [pair for part in without(piece, starts, length, delays + 1) for pair in pairs_of(part, delays)]
@@ -78,7 +84,9 @@ def pairs_of(piece, delays):
 
 def test_a_file_in_pieces_is_what_was_written(long_recording, path):
     file = tras.open_recording(path)
-    assert (len(file), file.pairs, file.dt) == (len(LENGTHS), long_recording.pairs, 0.01) and "phi, phidot" in repr(file)
+    assert (len(file), file.pairs, file.dt) == (len(LENGTHS), long_recording.pairs, 0.01) and "phi, phidot" in repr(
+        file
+    )
     assert (file.state_units, file.input_units) == (long_recording.state_units, long_recording.input_units)
     for source in (file, file.select(states=["psi", "phi"], inputs=["u_psi"])):
         memory = long_recording.select(states=source.state_names, inputs=source.input_names)
@@ -93,14 +101,18 @@ def test_the_sample_is_spread_evenly_and_bounded(counts):
     windows = streaming._Windows(500, 1)
     numbers = np.arange(90_001.0)[:, None]
     seen = 0
-    for number, count in enumerate(pairs for total in counts for pairs in [90_000] * (total // 90_000) + [total % 90_000]):
+    for number, count in enumerate(
+        pairs for total in counts for pairs in [90_000] * (total // 90_000) + [total % 90_000]
+    ):
         windows.look(number, Piece(seen + numbers[: count + 1], -numbers[: count + 1], count))
         seen += count
     starts = np.array([piece.x[0, 0] for _, _, piece in windows.chosen.values()])
     assert windows.seen == sum(counts) and 1 <= len(starts) <= 200 and (seen < 10**6 or len(starts) >= 100)
     assert 500 * len(starts) <= seen / 5 + 500 and np.all(np.diff(starts) >= 500)
     if len(counts) != 5:
-        assert np.diff(starts).max() <= 1.5 * np.median(np.diff(starts)) and seen - starts[-1] <= 2 * np.median(np.diff(starts))
+        assert np.diff(starts).max() <= 1.5 * np.median(np.diff(starts)) and seen - starts[-1] <= 2 * np.median(
+            np.diff(starts)
+        )
     assert all(len(piece.x) == 501 for _, _, piece in windows.chosen.values())
 
 
@@ -109,7 +121,12 @@ def test_the_sample_is_spread_evenly_and_bounded(counts):
 
 @pytest.mark.parametrize(
     "predictor, delays, dictionary",
-    [("vector_field", 0, tras.Monomials(3)), ("one_step", 1, tras.Monomials(1)), ("lifted_linear", 0, tras.Monomials(2)), ("one_step", 0, tras.Fourier(1))],
+    [
+        ("vector_field", 0, tras.Monomials(3)),
+        ("one_step", 1, tras.Monomials(1)),
+        ("lifted_linear", 0, tras.Monomials(2)),
+        ("one_step", 0, tras.Fourier(1)),
+    ],
 )
 @pytest.mark.slow
 def test_streamed_and_in_memory_agree_to_the_bit(long_recording, path, monkeypatch, predictor, delays, dictionary):
@@ -124,7 +141,9 @@ def test_streamed_and_in_memory_agree_to_the_bit(long_recording, path, monkeypat
         assert streamed.pairs_ == memory.pairs_ == recording.pairs - delays * len(recording)
         assert streamed.condition_number == memory.condition_number
         if memory.hull_ is not None:
-            assert np.array_equal(streamed.hull_.low, memory.hull_.low) and np.array_equal(streamed.outward_, memory.outward_)
+            assert np.array_equal(streamed.hull_.low, memory.hull_.low) and np.array_equal(
+                streamed.outward_, memory.outward_
+            )
         if predictor == "vector_field":
             assert np.array_equal(streamed.W_, memory.W_) and streamed.substeps_ == memory.substeps_
         assert streamed.score(recording[1]) == memory.score(recording[1])
@@ -189,7 +208,10 @@ def test_ranges_instead_of_a_first_reading(long_recording):
     plain().fit(source, chunk=CHUNK)
     assert len(readings) == 2
     low, high = (np.array([f(x, axis=0) for x, _ in long_recording]) for f in (np.min, np.max))
-    ranges = dict(zip(long_recording.state_names, zip(low.min(axis=0), high.max(axis=0)))) | {"u_phi": (-2, 1), "u_psi": (-1, 3)}
+    ranges = dict(zip(long_recording.state_names, zip(low.min(axis=0), high.max(axis=0)))) | {
+        "u_phi": (-2, 1),
+        "u_psi": (-1, 3),
+    }
     model = plain().fit(source, ranges=ranges, chunk=CHUNK)
     assert np.array_equal(model.u_scale_, [1.5, 2]) and np.array_equal(model.u_offset_, [-0.5, 1])
     # In physical units the model is the same, whatever the scales.
@@ -231,7 +253,9 @@ class Cut:
 def test_interrupted_and_resumed_has_the_same_bits(long_recording, tmp_path, failure, strength):
     model = plain("vector_field" if strength == "auto" else "one_step", strength=strength)
     source = Cut(long_recording, 28, failure)
-    undisturbed = plain("vector_field" if strength == "auto" else "one_step", strength=strength).fit(Cut(long_recording, None, None), chunk=2000)
+    undisturbed = plain("vector_field" if strength == "auto" else "one_step", strength=strength).fit(
+        Cut(long_recording, None, None), chunk=2000
+    )
     checkpoint = tmp_path / "fit.npz"
     with pytest.raises(type(failure)):
         model.fit(source, chunk=2000, checkpoint=checkpoint)
@@ -239,7 +263,9 @@ def test_interrupted_and_resumed_has_the_same_bits(long_recording, tmp_path, fai
         header = json.loads(str(file["header"]))
         assert 0 < header["done"] < 28 and not header["finished"]
     for _ in range(2):  # gone on with, then once more from the finished one
-        again = plain("vector_field" if strength == "auto" else "one_step", strength=strength).fit(source, chunk=2000, checkpoint=checkpoint)
+        again = plain("vector_field" if strength == "auto" else "one_step", strength=strength).fit(
+            source, chunk=2000, checkpoint=checkpoint
+        )
         for name in ("koopman_matrix", "outward_", "condition_number", "strength_", "pairs_"):
             assert np.array_equal(getattr(again, name), getattr(undisturbed, name)), name
     assert source.readings == 4  # survey, fit, and one each time it went on
@@ -248,7 +274,9 @@ def test_interrupted_and_resumed_has_the_same_bits(long_recording, tmp_path, fai
 
 @pytest.mark.parametrize("failure", [KeyboardInterrupt(), MemoryError("no room.")])
 @pytest.mark.parametrize("at", [2, 4, 5])
-def test_interrupted_in_the_middle_of_a_chunk_goes_on_from_its_beginning(long_recording, tmp_path, monkeypatch, failure, at):
+def test_interrupted_in_the_middle_of_a_chunk_goes_on_from_its_beginning(
+    long_recording, tmp_path, monkeypatch, failure, at
+):
     """Two panels a chunk; the first chunk that is half absorbed is not counted, and none is lost that was."""
     undisturbed = plain(strength=0.01).fit(lambda: long_recording.cut_all(801), chunk=9000)
     calls = []
@@ -268,7 +296,9 @@ def test_interrupted_in_the_middle_of_a_chunk_goes_on_from_its_beginning(long_re
     if at > 2:
         with np.load(checkpoint) as file:
             done = json.loads(str(file["header"]))["done"]
-            assert done > 0 and file["solver.rows"] == sum(len(x) - 1 for x, _ in itertools.islice(long_recording.cut_all(801), done))
+            assert done > 0 and file["solver.rows"] == sum(
+                len(x) - 1 for x, _ in itertools.islice(long_recording.cut_all(801), done)
+            )
     again = plain(strength=0.01).fit(lambda: long_recording.cut_all(801), chunk=9000, checkpoint=checkpoint)
     for name in ("koopman_matrix", "outward_", "condition_number", "pairs_"):
         assert np.array_equal(getattr(again, name), getattr(undisturbed, name)), name
@@ -279,7 +309,9 @@ def test_interrupted_in_the_middle_of_a_chunk_goes_on_from_its_beginning(long_re
 @pytest.mark.slow
 def test_checkpoints_on_the_way_change_no_bit(long_recording, path, tmp_path, monkeypatch):
     written = []
-    monkeypatch.setattr(streaming.store, "write", lambda *a, write=streaming.store.write: (written.append(1), write(*a)))
+    monkeypatch.setattr(
+        streaming.store, "write", lambda *a, write=streaming.store.write: (written.append(1), write(*a))
+    )
     often = plain(strength="auto").fit(path, chunk=4100, checkpoint=tmp_path / "a.npz", every=0)
     assert len(written) >= 6
     seldom = plain(strength="auto").fit(path, chunk=4100, checkpoint=tmp_path / "b.npz", every=1e9)
@@ -294,7 +326,9 @@ def test_a_failure_after_the_pass_loses_nothing(path, tmp_path, monkeypatch):
     model = plain(strength=0.0, regularization=None).fit(path, chunk=CHUNK, checkpoint=tmp_path / "a.npz")
     monkeypatch.undo()
     assert not absorbed
-    assert np.array_equal(model.koopman_matrix, plain(strength=0.0, regularization=None).fit(path, chunk=CHUNK).koopman_matrix)
+    assert np.array_equal(
+        model.koopman_matrix, plain(strength=0.0, regularization=None).fit(path, chunk=CHUNK).koopman_matrix
+    )
 
 
 @pytest.fixture
@@ -384,7 +418,11 @@ def repack(source, target):
     import xarray
 
     with xarray.open_dataset(source, engine="h5netcdf", decode_times=False) as data:
-        data.to_netcdf(target, engine="h5netcdf", encoding={name: {"zlib": True, "chunksizes": (1000,)} for name in ("psi", "u_psi")})
+        data.to_netcdf(
+            target,
+            engine="h5netcdf",
+            encoding={name: {"zlib": True, "chunksizes": (1000,)} for name in ("psi", "u_psi")},
+        )
 
 
 def test_nan_in_a_file_is_named(path, tmp_path):
@@ -393,7 +431,9 @@ def test_nan_in_a_file_is_named(path, tmp_path):
     with h5py.File(bad, "r+") as file:
         file["psidot"][7001 + 2500 + 5600] = np.nan
     for chunk in (10**6, CHUNK):
-        with pytest.raises(ValueError, match="bad.nc: channel 'psidot' is nan in trajectory 2 at sample 5600; repair it or cut"):
+        with pytest.raises(
+            ValueError, match="bad.nc: channel 'psidot' is nan in trajectory 2 at sample 5600; repair it or cut"
+        ):
             plain().fit(bad, chunk=chunk)
 
 

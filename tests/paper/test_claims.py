@@ -19,22 +19,46 @@ def grid(numbers, *, spread=0.02, lost=()):
     rows = []
     names = [name for name in effects.OPTIONS if name not in ("frequency_unit", "velocity_term", "state")]
     for combination in itertools.product(*(readings.choices(name) for name in names)):
-        reading = {"frequency_unit": "rad/s", "velocity_term": "corrected", "state": "four_states", **dict(zip(names, combination))}
+        reading = {
+            "frequency_unit": "rad/s",
+            "velocity_term": "corrected",
+            "state": "four_states",
+            **dict(zip(names, combination)),
+        }
         for i, seed in enumerate(SEEDS):
             values = numbers(reading)
-            about = {**reading, **dict(zip(effects.SEEDS, seed)), "outcome": "model" if values else "no model: logarithm", "windows": 83, "N": 9, "condition": 10.0}
+            about = {
+                **reading,
+                **dict(zip(effects.SEEDS, seed)),
+                "outcome": "model" if values else "no model: logarithm",
+                "windows": 83,
+                "N": 9,
+                "condition": 10.0,
+            }
             for angle, value in zip(("yaw", "pitch"), values or (math.nan, math.nan)):
                 factor = 1 + spread * (i - 1)
-                rows.append({**about, "angle": angle, "nrmse": value * factor, "diverged": 5 if tuple(reading.values()) in lost else 0})
+                rows.append(
+                    {
+                        **about,
+                        "angle": angle,
+                        "nrmse": value * factor,
+                        "diverged": 5 if tuple(reading.values()) in lost else 0,
+                    }
+                )
     return pd.DataFrame(rows)
 
 
 def comparison():
     """A table like that of 07_comparison: errors over windows; far smaller ones at another horizon and on the chirp, which must not count."""
-    errors = {"reference": {"DMDc": 1.0, claims.OWN: 2.0, "N4SID": 3.0}, "torque": {"DMDc": 4.0, claims.OWN: 2.0, "N4SID": 1.0, claims.BOUND: 0.01}}
+    errors = {
+        "reference": {"DMDc": 1.0, claims.OWN: 2.0, "N4SID": 3.0},
+        "torque": {"DMDc": 4.0, claims.OWN: 2.0, "N4SID": 1.0, claims.BOUND: 0.01},
+    }
     rows = []
     for source, methods in errors.items():
-        for (method, error), horizon, recording, angle in itertools.product(methods.items(), (1.0, 6.0, 500.0), ("multisine 2", "multisine 3", "chirp"), ("yaw", "pitch")):
+        for (method, error), horizon, recording, angle in itertools.product(
+            methods.items(), (1.0, 6.0, 500.0), ("multisine 2", "multisine 3", "chirp"), ("yaw", "pitch")
+        ):
             counts = horizon == 6.0 and recording != "chirp"
             lost = 1 if (method, source) == ("N4SID", "torque") and counts else 0
             about = {"method": method, "input": source, "recording": recording, "horizon": horizon, "angle": angle}
@@ -44,7 +68,10 @@ def comparison():
 
 def metrics(enr=0.05, bfr=95.0, steps=None, diverged=0):
     rows = []
-    for (recording, kind), angle in itertools.product([("multisine 2", "window"), ("multisine 3", "window"), ("steps", "window"), ("multisine 2", "free run")], ("yaw", "pitch")):
+    for (recording, kind), angle in itertools.product(
+        [("multisine 2", "window"), ("multisine 3", "window"), ("steps", "window"), ("multisine 2", "free run")],
+        ("yaw", "pitch"),
+    ):
         unlike = steps if recording == "steps" and steps else (enr, bfr)
         for source, model in (("reference", "gaussian"), ("torque", "mechanical")):
             rows.append(
@@ -70,7 +97,11 @@ def with_torque(reading):
     [
         (by_default, claims.REPRODUCED, "default"),
         (with_torque, claims.NAMED, "input torque"),
-        (lambda r: (5.6, 4.05) if r["dictionary"] == "monomials3" else (9.0, 9.0), claims.NAMED, "dictionary monomials3"),
+        (
+            lambda r: (5.6, 4.05) if r["dictionary"] == "monomials3" else (9.0, 9.0),
+            claims.NAMED,
+            "dictionary monomials3",
+        ),
         (lambda r: (1.0, 0.4), claims.NOT, ""),
         # Each number under another reading: no model has both.
         (lambda r: {"linear": (4.06, 0.4), "monomials2": (1.0, 5.59)}.get(r["dictionary"], (1.0, 0.4)), claims.NOT, ""),
@@ -84,7 +115,10 @@ def test_the_two_numbers(numbers, verdict, reading):
 
 def test_one_number_may_be_met_without_the_other():
     table = grid(lambda r: (4.0, 20.0))
-    assert claims.nrmse(table, "yaw")["verdict"] == claims.REPRODUCED and claims.nrmse(table, "pitch")["verdict"] == claims.NOT
+    assert (
+        claims.nrmse(table, "yaw")["verdict"] == claims.REPRODUCED
+        and claims.nrmse(table, "pitch")["verdict"] == claims.NOT
+    )
 
 
 @pytest.mark.parametrize("factor, met", [(1.09, True), (1.12, False), (0.92, True), (0.89, False)])
@@ -164,12 +198,17 @@ def test_the_comparison_is_not_in_the_paper_but_ours_is_told():
     row = claims.other_methods(comparison())
     assert row["verdict"] == claims.UNCHECKABLE and math.isnan(row["value"])
     assert "reference: the best is DMDc (1 / 1), the paper's dictionary is 2 of 3 (2 / 2)" in row["evidence"]
-    assert "torque: the best is Koopman, the paper's (2 / 2), the paper's dictionary is 1 of 3" in row["evidence"]  # the other one there loses windows
+    assert (
+        "torque: the best is Koopman, the paper's (2 / 2), the paper's dictionary is 1 of 3" in row["evidence"]
+    )  # the other one there loses windows
 
 
 def test_linear_methods_stand_beside():
     row = claims.against_linear(ratio_to_linear(lambda r: (0.5, 0.6)), comparison())
-    assert "reference: Koopman, the paper's 2 / 2, DMDc 1 / 1, N4SID 3 / 3; torque: Koopman, the paper's 2 / 2, DMDc 4 / 4, N4SID 1 / 1" in row["evidence"]
+    assert (
+        "reference: Koopman, the paper's 2 / 2, DMDc 1 / 1, N4SID 3 / 3; torque: Koopman, the paper's 2 / 2, DMDc 4 / 4, N4SID 1 / 1"
+        in row["evidence"]
+    )
 
 
 def test_a_model_without_numbers_has_no_place():
@@ -181,13 +220,25 @@ def test_a_model_without_numbers_has_no_place():
 @pytest.mark.parametrize("diverged, verdict", [(0, claims.REPRODUCED), (1, claims.NOT)])
 def test_starts_are_counted(diverged, verdict):
     row = claims.starts(metrics(diverged=diverged))
-    assert row["verdict"] == verdict and row["value"] == pytest.approx(3 * diverged / (3 * 83)) and "249 windows" in row["evidence"]
+    assert (
+        row["verdict"] == verdict
+        and row["value"] == pytest.approx(3 * diverged / (3 * 83))
+        and "249 windows" in row["evidence"]
+    )
 
 
 def length(clean, noisy, dependent=0.0):
     """Shares without a logarithm on short and long stretches, without and with noise; ``dependent`` of them because K is singular."""
     rows = [
-        {"fit": "plain", "dictionary": "linear", "noise": noise, "ratio": ratio, "failed": share, "no_logarithm": (1 - dependent) * share, "dependent": dependent * share}
+        {
+            "fit": "plain",
+            "dictionary": "linear",
+            "noise": noise,
+            "ratio": ratio,
+            "failed": share,
+            "no_logarithm": (1 - dependent) * share,
+            "dependent": dependent * share,
+        }
         for noise, shares in ((0.0, clean), (1.0, noisy))
         for ratio, share in zip((1.5, 2.0, 200.0), (shares[0], shares[0], shares[1]))
     ]
@@ -211,7 +262,9 @@ def test_the_logarithm_and_the_data(clean, noisy, verdict, dependent):
 
 def test_a_basis_that_fits_counts_when_it_is_ten_times_better():
     better = claims.cost(grid(lambda r: (1.0, 1.0)), metrics())
-    assert better["verdict"] == claims.REPRODUCED and better["value"] == pytest.approx(200) and "165" in better["evidence"]
+    assert (
+        better["verdict"] == claims.REPRODUCED and better["value"] == pytest.approx(200) and "165" in better["evidence"]
+    )
     assert claims.cost(grid(lambda r: (0.04, 1.0)), metrics())["verdict"] == claims.NOT
 
 
@@ -245,7 +298,12 @@ def test_the_linearisation_is_the_plants():
 
 @pytest.fixture(scope="module")
 def judged():
-    tables = {"comparison": comparison(), "readings": grid(with_torque), "metrics": metrics(), "length": length((0.0, 0.0), (0.9, 0.1))}
+    tables = {
+        "comparison": comparison(),
+        "readings": grid(with_torque),
+        "metrics": metrics(),
+        "length": length((0.0, 0.0), (0.9, 0.1)),
+    }
     return claims.evaluate(tables, {"exact": Known(tras.PlantParameters())})
 
 
@@ -263,7 +321,9 @@ def test_the_readme_holds_the_table(judged, tmp_path, capsys):
     call = ["claims", f"--data={tmp_path}", f"--pages={tmp_path}"]
     assert pages.main([*call, "--write"]) == 0
     text = readme.read_text()
-    assert all(f"| {row.claim} | {row.statement} | **{row.verdict}" in text for row in judged.itertuples()) and text.endswith("b\n")
+    assert all(
+        f"| {row.claim} | {row.statement} | **{row.verdict}" in text for row in judged.itertuples()
+    ) and text.endswith("b\n")
     assert pages.main(call) == 0 and capsys.readouterr().out.count("\n") == 10
     readme.write_text("no markers")
     assert pages.main([*call, "--write"]) == 2 and "must hold" in capsys.readouterr().err

@@ -15,7 +15,10 @@ FEW = ("DMDc", "Koopman, the paper's", "grey box")
 
 @pytest.fixture(scope="module")
 def recordings():
-    made = [tras.simulate_closed_loop(tras.multisine(15, 0.01, [2.0, 4.0], [0.6, 1.2], np.random.default_rng(seed)), 0.01) for seed in (1, 2, 3)]
+    made = [
+        tras.simulate_closed_loop(tras.multisine(15, 0.01, [2.0, 4.0], [0.6, 1.2], np.random.default_rng(seed)), 0.01)
+        for seed in (1, 2, 3)
+    ]
     return made[0], {"multisine 2": made[1], "chirp": made[2]}
 
 
@@ -38,7 +41,9 @@ def test_every_method_has_as_many_settings_and_each_is_another():
 @pytest.mark.slow
 def test_every_case_is_there(results, study):
     cases = comparison.jobs(study)
-    assert len(cases) == 2 * 3 - 1 + 3 * 3  # without the grey box on references; noise twice and one fraction for the torque
+    assert (
+        len(cases) == 2 * 3 - 1 + 3 * 3
+    )  # without the grey box on references; noise twice and one fraction for the torque
     scores = results["scores"]
     of_one = scores.groupby(["method", "input"]).size()
     assert len(of_one) == 5 and (of_one == 2 * (2 * 3 + 1)).all()  # angles x (recordings x horizons and one free run)
@@ -54,7 +59,9 @@ def test_the_chosen_setting_is_the_best_one(results):
 
 
 def test_the_bound_is_a_bound(results):
-    scores = results["scores"][lambda t: (t["input"] == "torque") & (t["horizon"] == 1.0)].groupby("method")["nrmse"].max()
+    scores = (
+        results["scores"][lambda t: (t["input"] == "torque") & (t["horizon"] == 1.0)].groupby("method")["nrmse"].max()
+    )
     assert scores.idxmin() == "grey box" and scores["grey box"] < 1e-4
 
 
@@ -62,7 +69,12 @@ def test_the_bound_is_a_bound(results):
 def test_validation_is_not_seen(method, study, recordings):
     train, fresh = recordings
     job = {"method": method, "input": "torque", "noise": 0.0, "smoothed": False, "fraction": 1.0}
-    other = {name: tras.Recording(r.states[:, ::-1], r.inputs[:, ::-1] * 2, r.dt, state_names=r.state_names, input_names=r.input_names) for name, r in fresh.items()}
+    other = {
+        name: tras.Recording(
+            r.states[:, ::-1], r.inputs[:, ::-1] * 2, r.dt, state_names=r.state_names, input_names=r.input_names
+        )
+        for name, r in fresh.items()
+    }
     one, two = comparison.case(study, job, train, fresh), comparison.case(study, job, train, other)
     assert one["tuning"] == two["tuning"] and one["parameters"] == two["parameters"] and one["scores"] != two["scores"]
 
@@ -70,13 +82,18 @@ def test_validation_is_not_seen(method, study, recordings):
 def test_noise_and_fraction_reach_the_training_data(study, recordings):
     job = {"method": "DMDc", "input": "torque", "noise": 0.0, "smoothed": False, "fraction": 1.0}
     whole, few = (comparison.training(study, job | {"fraction": share}, recordings[0]) for share in (1.0, 0.2))
-    noisy, smoothed = (comparison.training(study, job | {"noise": 1.0, "smoothed": some}, recordings[0]) for some in (False, True))
+    noisy, smoothed = (
+        comparison.training(study, job | {"noise": 1.0, "smoothed": some}, recordings[0]) for some in (False, True)
+    )
     prepared = comparison.prepare(study, {"noise": 1.0, "smoothed": True}, recordings[0])
     again = comparison.training(study, job | {"noise": 1.0, "smoothed": True}, recordings[0], prepared)
     assert np.array_equal(np.stack(list(again.states)), np.stack(list(smoothed.states)))
     assert (len(whole), len(few)) == (12, 2) and whole.input_names == ("u_phi", "u_psi")
     clean = np.concatenate(list(whole.states))
-    errors = [np.std(np.concatenate(list(each.states)) - clean, axis=0) / np.ptp(recordings[0].states[0], axis=0) for each in (noisy, smoothed)]
+    errors = [
+        np.std(np.concatenate(list(each.states)) - clean, axis=0) / np.ptp(recordings[0].states[0], axis=0)
+        for each in (noisy, smoothed)
+    ]
     assert np.allclose(errors[0], 0.01, rtol=0.1) and (errors[1] < errors[0] / 2).all()
 
 
@@ -110,12 +127,19 @@ def test_diverged_predictions_are_counted_at_their_horizon(study, recordings):
             states[0, 100:] = np.nan
             return states
 
-    rows = pd.DataFrame(comparison.score(study, Lost(), recordings[1])).query("recording == 'multisine 2' and angle == 'yaw'").set_index("horizon")
+    rows = (
+        pd.DataFrame(comparison.score(study, Lost(), recordings[1]))
+        .query("recording == 'multisine 2' and angle == 'yaw'")
+        .set_index("horizon")
+    )
     assert rows["diverged"].to_dict() == {0.01: 0, 0.5: 0, 1.0: 1, 15.0: 1}
     assert np.isnan(rows.loc[15.0, "nrmse"]) and rows.loc[1.0, "nrmse"] == 0 and rows.loc[1.0, "windows"] == 15
 
 
-@pytest.mark.parametrize("options, sentence", [({"methods": ("magic",)}, "methods holds 'magic'"), ({"data_inputs": ("x",)}, "data_inputs holds 'x'")])
+@pytest.mark.parametrize(
+    "options, sentence",
+    [({"methods": ("magic",)}, "methods holds 'magic'"), ({"data_inputs": ("x",)}, "data_inputs holds 'x'")],
+)
 def test_unknown_names_are_named(options, sentence):
     with pytest.raises(ValueError, match=sentence):
         comparison.jobs(comparison.Study(**options))
@@ -128,17 +152,30 @@ def test_a_method_that_cannot_be_fitted_says_why(study, recordings, monkeypatch)
 
 
 def test_figures_hold_every_method(results):
-    horizon, amount = figures_comparison.horizon_table(results["scores"]), figures_comparison.data_table(results["data"])
+    horizon, amount = (
+        figures_comparison.horizon_table(results["scores"]),
+        figures_comparison.data_table(results["data"]),
+    )
     window = horizon[horizon["horizon"] == 1.0]
-    for draw, table in ((figures_comparison.horizon_figure, horizon), (figures_comparison.data_figure, amount), (figures_comparison.pareto_figure, window)):
+    for draw, table in (
+        (figures_comparison.horizon_figure, horizon),
+        (figures_comparison.data_figure, amount),
+        (figures_comparison.pareto_figure, window),
+    ):
         figure = draw(table)
         for panel in figure.axes:
             names = [text.get_text().split(" (")[0] for text in panel.texts]
             assert set(names) == (set(FEW) if "reference" not in panel.get_title(loc="left") else set(FEW[:2]))
-    assert len(set(figures_comparison.STYLES.values())) == len(comparison.METHODS) == len({style[0] for style in figures_comparison.STYLES.values()})
+    assert (
+        len(set(figures_comparison.STYLES.values()))
+        == len(comparison.METHODS)
+        == len({style[0] for style in figures_comparison.STYLES.values()})
+    )
 
 
-@pytest.mark.parametrize("draw", [figures_comparison.horizon_figure, figures_comparison.data_figure, figures_comparison.pareto_figure])
+@pytest.mark.parametrize(
+    "draw", [figures_comparison.horizon_figure, figures_comparison.data_figure, figures_comparison.pareto_figure]
+)
 def test_a_table_without_its_columns_is_refused(draw):
     with pytest.raises(ValueError, match="table lacks the columns"):
         draw(pd.DataFrame({"method": ["a"]}))
@@ -152,8 +189,19 @@ def test_the_readme_holds_the_table(results, tmp_path, capsys):
     call = ["comparison", f"--data={tmp_path}", f"--pages={tmp_path}"]
     assert pages.main([*call, "--write"]) == 0
     text = readme.read_text()
-    assert text.count("\n| DMDc | 28 |") == 1 and "grey box, the plant's own equations" in text and text.endswith("b\n") and "| grey box" not in text
-    error = results["scores"].query("method == 'DMDc' and input == 'torque' and horizon == 1 and angle == 'yaw' and recording == 'multisine 2'")["nrmse"].iloc[0]
+    assert (
+        text.count("\n| DMDc | 28 |") == 1
+        and "grey box, the plant's own equations" in text
+        and text.endswith("b\n")
+        and "| grey box" not in text
+    )
+    error = (
+        results["scores"]
+        .query(
+            "method == 'DMDc' and input == 'torque' and horizon == 1 and angle == 'yaw' and recording == 'multisine 2'"
+        )["nrmse"]
+        .iloc[0]
+    )
     assert f"| {error:.3g} / " in text
     assert pages.main(call) == 0 and "| DMDc | 28 |" in capsys.readouterr().out
     readme.write_text("no markers")
@@ -171,4 +219,7 @@ def test_lost_predictions_stand_in_the_table():
 
 
 def test_as_many_windows_as_metrics_count(results):
-    assert figures.WIDTH < figures_comparison.WIDE and (results["scores"]["diverged"] <= results["scores"]["windows"]).all()
+    assert (
+        figures.WIDTH < figures_comparison.WIDE
+        and (results["scores"]["diverged"] <= results["scores"]["windows"]).all()
+    )

@@ -20,7 +20,16 @@ def a_table(number, *, lost=lambda labels: False, seeds=(1, 2)):
     for values in itertools.product(*choices):
         labels = dict(zip(names, values))
         gone = lost(labels)
-        rows.append({**labels, "draw": 0, "nrmse": math.nan if gone else number(labels), "windows": 10, "diverged": 10 * gone, "outcome": "model"})
+        rows.append(
+            {
+                **labels,
+                "draw": 0,
+                "nrmse": math.nan if gone else number(labels),
+                "windows": 10,
+                "diverged": 10 * gone,
+                "outcome": "model",
+            }
+        )
     return pd.DataFrame(rows)
 
 
@@ -37,7 +46,9 @@ def test_distance_counts_ratios_and_both_angles():
     for yaw, pitch in ((2, 2), (0.5, 0.5), (2, 0.5)):
         assert effects.distance(yaw * 4.0589, pitch * 5.5889) == pytest.approx(math.log(2))
     assert effects.distance(2 * 4.0589, 5.5889) == pytest.approx(math.log(2) / math.sqrt(2))
-    assert np.allclose(effects.distance(np.array([4.0589, 8.1178]), np.array([5.5889, 5.5889])), [0, math.log(2) / math.sqrt(2)])
+    assert np.allclose(
+        effects.distance(np.array([4.0589, 8.1178]), np.array([5.5889, 5.5889])), [0, math.log(2) / math.sqrt(2)]
+    )
     with pytest.raises(readings.ReadingError, match="angle_names is 'word': did you mean 'words'"):
         effects.distance(1, 1, "word")
 
@@ -64,11 +75,21 @@ def test_the_effects_refer_to_the_chosen_default():
 def test_what_ran_away_is_counted_and_not_averaged():
     gone = lambda labels: labels["dictionary"] == "monomials2" and labels["train_seed"] == 2  # noqa: E731
     table = a_table(known, lost=gone)
-    row = effects.effects(table, DEFAULT).set_index(["option", "choice", "angle"]).loc[("dictionary", "monomials2", "yaw")]
+    row = (
+        effects.effects(table, DEFAULT)
+        .set_index(["option", "choice", "angle"])
+        .loc[("dictionary", "monomials2", "yaw")]
+    )
     assert row["pairs"] == row["lost"] and row["median"] == pytest.approx(2)
     summary = effects.summary(table)
-    assert list(summary[~summary["complete"]]["dictionary"].unique()) == ["monomials2"] and summary["complete"].mean() == pytest.approx(2 / 3)
-    assert (summary["diverged"] == np.where(summary["complete"], 0, 20)).all() and (summary["windows"] == 40).all() and (summary["runs"] == 4).all()
+    assert list(summary[~summary["complete"]]["dictionary"].unique()) == ["monomials2"] and summary[
+        "complete"
+    ].mean() == pytest.approx(2 / 3)
+    assert (
+        (summary["diverged"] == np.where(summary["complete"], 0, 20)).all()
+        and (summary["windows"] == 40).all()
+        and (summary["runs"] == 4).all()
+    )
     assert "monomials2" not in set(effects.nearest(table)["dictionary"])
 
 
@@ -76,10 +97,18 @@ def test_draws_of_centres_are_one_and_fail_together():
     """The median over the draws stands for a dictionary; a draw that ran away is not left out of it."""
     one = a_table(known)
     other = one[one["dictionary"] == "gaussian"].assign(draw=1)
-    found = effects.effects(pd.concat([one, other.assign(nrmse=3 * other["nrmse"])]), DEFAULT).set_index(["option", "choice", "angle"])
-    assert found.loc[("dictionary", "monomials2", "yaw"), "median"] == pytest.approx(2 / 2)  # the median of 1 and 3 is 2
+    found = effects.effects(pd.concat([one, other.assign(nrmse=3 * other["nrmse"])]), DEFAULT).set_index(
+        ["option", "choice", "angle"]
+    )
+    assert found.loc[("dictionary", "monomials2", "yaw"), "median"] == pytest.approx(
+        2 / 2
+    )  # the median of 1 and 3 is 2
     gone = other.assign(nrmse=math.nan, diverged=10)
-    row = effects.effects(pd.concat([one, gone]), DEFAULT).set_index(["option", "choice", "angle"]).loc[("dictionary", "monomials2", "yaw")]
+    row = (
+        effects.effects(pd.concat([one, gone]), DEFAULT)
+        .set_index(["option", "choice", "angle"])
+        .loc[("dictionary", "monomials2", "yaw")]
+    )
     assert row["pairs"] == 0 < row["lost"] and math.isnan(row["median"])
 
 
@@ -115,10 +144,20 @@ def test_chance_is_the_share_of_the_plane_that_readings_cover():
     ranking = pd.DataFrame([(1.0, 1.0)] + 100 * corners, columns=["yaw", "pitch"]).assign(angle_names="words")
     middle = np.arange(len(ranking)) == 0
     rng = np.random.default_rng(0)
-    assert effects.chance(ranking, 0.3, rng, among=middle, draws=20000) == pytest.approx(math.pi * 2 * 0.3**2 / 4, abs=0.01)
-    assert effects.chance(ranking, 0.3, rng, draws=20000) == pytest.approx(2 * math.pi * 2 * 0.3**2 / 4, abs=0.012)  # four quarters more
-    aside = ranking.assign(yaw=np.where(middle, math.exp(0.5), ranking["yaw"]), pitch=np.where(middle, math.exp(-0.5), ranking["pitch"]))
-    both = pd.concat([aside, aside.assign(angle_names="symbols")])  # by the symbols it serves pairs on the other side of the diagonal
+    assert effects.chance(ranking, 0.3, rng, among=middle, draws=20000) == pytest.approx(
+        math.pi * 2 * 0.3**2 / 4, abs=0.01
+    )
+    assert effects.chance(ranking, 0.3, rng, draws=20000) == pytest.approx(
+        2 * math.pi * 2 * 0.3**2 / 4, abs=0.012
+    )  # four quarters more
+    aside = ranking.assign(
+        yaw=np.where(middle, math.exp(0.5), ranking["yaw"]), pitch=np.where(middle, math.exp(-0.5), ranking["pitch"])
+    )
+    both = pd.concat(
+        [aside, aside.assign(angle_names="symbols")]
+    )  # by the symbols it serves pairs on the other side of the diagonal
     for table, discs in ((aside, 1), (both, 2)):
         serving = np.tile(middle, len(table) // len(aside))
-        assert effects.chance(table, 0.2, rng, among=serving, draws=20000) == pytest.approx(discs * math.pi * 2 * 0.2**2 / 4, abs=0.01)
+        assert effects.chance(table, 0.2, rng, among=serving, draws=20000) == pytest.approx(
+            discs * math.pi * 2 * 0.2**2 / 4, abs=0.01
+        )

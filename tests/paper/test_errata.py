@@ -39,12 +39,19 @@ def test_a_repaired_error_would_be_noticed(monkeypatch):
 
 def test_command_line_writes_between_the_markers(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(errata, "ERRORS", errata.ERRORS[9:11])
-    page, (begin, end), call = tmp_path / "docs" / "paper.md", pages.markers("errors"), ["errors", "--write", f"--pages={tmp_path}"]
+    page, (begin, end), call = (
+        tmp_path / "docs" / "paper.md",
+        pages.markers("errors"),
+        ["errors", "--write", f"--pages={tmp_path}"],
+    )
     page.parent.mkdir()
     page.write_text(f"before\n{begin}\nold\n{end}\nafter\n")
     assert pages.main(call) == 0
     assert "50001" in page.read_text() and "old" not in page.read_text() and page.read_text().startswith("before\n")
     page.write_text("no markers")
     assert pages.main(call) == 2 and "must hold" in capsys.readouterr().err
-    assert pages.main([*call[:2], f"--pages={tmp_path / 'none'}"]) == 2 and "paper.md cannot be read" in capsys.readouterr().err
+    assert (
+        pages.main([*call[:2], f"--pages={tmp_path / 'none'}"]) == 2
+        and "paper.md cannot be read" in capsys.readouterr().err
+    )
     assert np.all([path.name == "paper.md" for path in page.parent.iterdir()])

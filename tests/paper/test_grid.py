@@ -12,7 +12,13 @@ from tras.paper import grid, readings, stacked, validation
 from tras.workflow import cache
 
 SMALL = grid.Study(
-    duration=30.0, trajectory=2.0, window=4.0, max_frequency=(0.6, 1.5), train_seeds=(1,), validation_seeds=(2, 3), centre_draws=(0, 1)
+    duration=30.0,
+    trajectory=2.0,
+    window=4.0,
+    max_frequency=(0.6, 1.5),
+    train_seeds=(1,),
+    validation_seeds=(2, 3),
+    centre_draws=(0, 1),
 )
 PART = {
     "frequency_unit": ["rad/s"], "velocity_term": ["corrected"], "input": ["torque"], "state": ["four_states", "delayed_angles"],
@@ -37,13 +43,21 @@ def by_hand(reading, draw, validation_seed):
 
     def experiment(seed):
         band = [0.6 * factor, 1.5 * factor]
-        whole = tras.simulate_closed_loop(tras.multisine(30.0, 0.01, band, [1.22173, math.pi], np.random.default_rng(seed)), 0.01, plant)
+        whole = tras.simulate_closed_loop(
+            tras.multisine(30.0, 0.01, band, [1.22173, math.pi], np.random.default_rng(seed)), 0.01, plant
+        )
         inputs = ["u_phi", "u_psi"] if reading.input == "torque" else ["phi_ref", "psi_ref"]
         return whole.select(inputs=inputs, states=["phi", "psi"] if reading.state == "delayed_angles" else None)
 
-    makers = {"gaussian": tras.GaussianRBF(2, seed=draw), "linear": tras.Monomials(1), "exponentials": tras.Exponentials()}
+    makers = {
+        "gaussian": tras.GaussianRBF(2, seed=draw),
+        "linear": tras.Monomials(1),
+        "exponentials": tras.Exponentials(),
+    }
     delays = 1 if reading.state == "delayed_angles" else 0
-    model = tras.KoopmanModel(makers[reading.dictionary], delays=delays, field="least_squares", regularization=None, extrapolation="functions")
+    model = tras.KoopmanModel(
+        makers[reading.dictionary], delays=delays, field="least_squares", regularization=None, extrapolation="functions"
+    )
     model.fit(experiment(1).cut(201).split(0.8, 0)[0])
     seconds = {"window": 4.0, "trajectory": 2.0, "free_run": 30.0}[reading.horizon]
     range_over = "all" if reading.nrmse_range == "validation_set" else "trajectory"
@@ -68,11 +82,17 @@ def test_a_point_is_what_the_public_names_give(computed, reading, draw):
     assert len(rows) == 2 and (rows["outcome"] == "model").all()
     for angle in ("yaw", "pitch"):
         assert rows.loc[angle, "nrmse"] == pytest.approx(expected.loc[angle, "nrmse"], rel=1e-9, nan_ok=True)
-        assert (rows.loc[angle, "windows"], rows.loc[angle, "diverged"]) == (expected.loc[angle, "windows"], expected.loc[angle, "diverged"])
+        assert (rows.loc[angle, "windows"], rows.loc[angle, "diverged"]) == (
+            expected.loc[angle, "windows"],
+            expected.loc[angle, "diverged"],
+        )
 
 
 def test_other_plant_and_unit_reach_the_simulation():
-    own = {seed: grid.simulate(SMALL, *seed, 1) for seed in (("rad/s", "corrected"), ("Hz", "corrected"), ("Hz", "as_printed"))}
+    own = {
+        seed: grid.simulate(SMALL, *seed, 1)
+        for seed in (("rad/s", "corrected"), ("Hz", "corrected"), ("Hz", "as_printed"))
+    }
     reference = own["Hz", "corrected"].select(inputs=["phi_ref"]).inputs[0, :, 0]
     spectrum = np.abs(np.fft.rfft(reference[:-1]))
     assert np.flatnonzero(spectrum > 1e-6 * spectrum.max()).max() == math.floor(0.6 * 30)  # 0.6 Hz
@@ -85,7 +105,11 @@ def test_counts_add_up(computed):
     assert counts == {"computed": 6, "cached": 0}  # (two draws of centres, and linear) x two states
     assert len(table) == 6 * 2 * 3 * 2 * 2  # validation seeds, horizons, ranges, angles
     per_horizon = table.groupby("horizon")["windows"].unique()
-    assert {name: list(values) for name, values in per_horizon.items()} == {"window": [7], "trajectory": [15], "free_run": [1]}
+    assert {name: list(values) for name, values in per_horizon.items()} == {
+        "window": [7],
+        "trajectory": [15],
+        "free_run": [1],
+    }
     assert (table["diverged"] <= table["windows"]).all() and not table.duplicated().any()
     free = table[table["horizon"] == "free_run"].drop(columns="nrmse_range")
     assert len(free.drop_duplicates()) == len(free) / 2  # one window: both ranges are the recording's
@@ -160,7 +184,13 @@ def test_changed_options_and_changed_code_are_computed(computed, tmp_path, monke
 def test_the_code_that_counts_is_what_the_module_needs():
     assert cache.code_digest("tras.twin_rotor.closed_loop") != cache.code_digest("tras.paper.grid")
     needed = cache._package().closure({"tras.paper.grid"})
-    assert {"tras.generator", "tras.dictionaries.radial", "tras.twin_rotor.plant", "tras.metrics", "tras.paper.stacked"} <= needed
+    assert {
+        "tras.generator",
+        "tras.dictionaries.radial",
+        "tras.twin_rotor.plant",
+        "tras.metrics",
+        "tras.paper.stacked",
+    } <= needed
     assert "tras.plotting" not in needed and "tras.paper.effects" not in needed
 
 
@@ -182,7 +212,11 @@ def test_a_fit_that_fails_is_a_result(tmp_path, monkeypatch, error, outcome):
     lost = table[table["dictionary"] == "gaussian"]
     assert len(lost) == 2 * 2 * 3 * 2 * 2 and (lost["outcome"] == outcome).all() and lost["nrmse"].isna().all()
     kept = table[table["dictionary"] == "linear"]
-    assert (kept["outcome"] == "model").all() and len(kept) == 24 and kept.loc[kept["horizon"] != "free_run", "nrmse"].notna().all()
+    assert (
+        (kept["outcome"] == "model").all()
+        and len(kept) == 24
+        and kept.loc[kept["horizon"] != "free_run", "nrmse"].notna().all()
+    )
     assert run(tmp_path, PART | {"state": ["four_states"]})[0].equals(table)  # from the cache
 
 
@@ -201,13 +235,17 @@ def test_stacked_free_runs_are_each_models_own(experiment):
         assert np.allclose(prediction, alone, rtol=1e-9, atol=1e-9, equal_nan=True)
     assert np.isnan(together[1]).any() and not np.isnan(together[0]).any()
     with pytest.raises(ValueError, match="fields differ in"):
-        stacked.free_runs(dictionary, [stacked.field_of(models[0]), stacked.field_of(models[1]) | {"substeps": 2}], starts, inputs)
+        stacked.free_runs(
+            dictionary, [stacked.field_of(models[0]), stacked.field_of(models[1]) | {"substeps": 2}], starts, inputs
+        )
     with pytest.raises(ValueError, match="only models with predictor='vector_field'"):
         stacked.field_of(tras.KoopmanModel(dictionary, "one_step").fit(recording))
 
 
 def test_options_that_make_no_fit_are_refused():
-    with pytest.raises(readings.ReadingError, match="only names 'horizon', which makes no other fit: choose among frequency_unit"):
+    with pytest.raises(
+        readings.ReadingError, match="only names 'horizon', which makes no other fit: choose among frequency_unit"
+    ):
         grid.points(SMALL, {"horizon": ["window"]})
     with pytest.raises(readings.ReadingError, match="dictionary is 'gauss': did you mean 'gaussian'"):
         grid.points(SMALL, {"dictionary": ["gauss"]})

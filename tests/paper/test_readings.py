@@ -22,7 +22,11 @@ def test_the_defaults_are_the_first_choices():
 
 @pytest.mark.parametrize("option, choice", ALL)
 def test_every_choice_is_taken_and_remembered(option, choice):
-    assert getattr(Readings(**{option: choice}), option) == choice == getattr(Readings().replaced(**{option: choice}), option)
+    assert (
+        getattr(Readings(**{option: choice}), option)
+        == choice
+        == getattr(Readings().replaced(**{option: choice}), option)
+    )
 
 
 WRONG = [
@@ -105,7 +109,10 @@ def test_the_command_writes_the_table_and_names_what_is_missing(tmp_path, capsys
     assert document.read_text() == f"before\n{begin}\n{readings.markdown()}\n{end}\nafter\n"
     document.write_text("no markers")
     assert pages.main(call) == 2 == pages.main([*call[:2], f"--pages={tmp_path / 'none'}"])
-    assert "paper.md must hold the lines" in (errors := capsys.readouterr().err) and "none/docs/paper.md cannot be read" in errors
+    assert (
+        "paper.md must hold the lines" in (errors := capsys.readouterr().err)
+        and "none/docs/paper.md cannot be read" in errors
+    )
 
 
 def test_the_documentation_holds_the_table():

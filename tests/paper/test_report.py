@@ -35,8 +35,21 @@ def paper_tables(root, rng):
     models = [source for source in tables.COLUMNS if source[0] != "paper"]
     metrics = pd.DataFrame(
         [
-            {"kind": kind, "horizon": horizon, "input": source[0], "model": source[1], "recording": recording, "angle": angle}
-            | {"windows": 83, "diverged": 0, "enr": rng.uniform(0, 0.1), "bfr": rng.uniform(90, 99), "nrmse": rng.uniform(1, 9)}
+            {
+                "kind": kind,
+                "horizon": horizon,
+                "input": source[0],
+                "model": source[1],
+                "recording": recording,
+                "angle": angle,
+            }
+            | {
+                "windows": 83,
+                "diverged": 0,
+                "enr": rng.uniform(0, 0.1),
+                "bfr": rng.uniform(90, 99),
+                "nrmse": rng.uniform(1, 9),
+            }
             for kind, horizon in (("window", 6), ("free run", 500))
             for source in models
             for recording in ("multisine 2", "multisine 3")
@@ -44,7 +57,11 @@ def paper_tables(root, rng):
         ]
     )
     columns = "input model N pairs condition spectral_radius disagreement_phidot"
-    write(root / "data" / "identification.csv", columns, [(*model, 7 + n, 40000, 50.4 + n, 1 + n / 1000, 0.01 + n) for n, model in enumerate(models)])
+    write(
+        root / "data" / "identification.csv",
+        columns,
+        [(*model, 7 + n, 40000, 50.4 + n, 1 + n / 1000, 0.01 + n) for n, model in enumerate(models)],
+    )
     identification = pd.read_csv(root / "data" / "identification.csv")
     tables.comparison(metrics, identification).to_csv(root / "figures" / "table.csv", index=False)
     return metrics
@@ -53,7 +70,13 @@ def paper_tables(root, rng):
 def study_tables(root, rng):
     """What the studies write, small."""
     data, figures = root / "data", root / "figures"
-    cases = [(noise, seed, method) for noise in (0.0, 1.0) for seed in (1, 2) for method in ("plain", "refined") if noise or method == "plain"]
+    cases = [
+        (noise, seed, method)
+        for noise in (0.0, 1.0)
+        for seed in (1, 2)
+        for method in ("plain", "refined")
+        if noise or method == "plain"
+    ]
     rows = [(*case, angle, rng.uniform(), 0, "") for case in cases for angle in ("yaw", "pitch")]
     rows[-1] = (*rows[-1][:4], np.nan, 0, "logarithm")
     write(data / "robustness_noise.csv", "noise seed method angle nrmse diverged failure", rows)
@@ -77,7 +100,16 @@ def claim_rows():
     row = {"statement": "it is so", "quantity": "an error (%)", "value": 1.2345678, "low": 1, "high": 2, "reading": "default", "evidence": "5 of 7",
            "figure": "figures/horizon.png", "command": "make all"}  # fmt: skip
     rows = [row | {"claim": f"C{i}", "verdict": verdict} for i, verdict in enumerate(claims.VERDICTS, 1)]
-    rows[-1] |= {"statement": HOSTILE, "evidence": HOSTILE, "quantity": "", "value": "", "low": "", "high": "", "figure": "", "reading": ""}
+    rows[-1] |= {
+        "statement": HOSTILE,
+        "evidence": HOSTILE,
+        "quantity": "",
+        "value": "",
+        "low": "",
+        "high": "",
+        "figure": "",
+        "reading": "",
+    }
     return rows
 
 
@@ -143,7 +175,13 @@ def parsed(text):
 
 
 def run(root, *more):
-    arguments = [str(root / "report.html"), f"--data={root / 'data'}", f"--figures={root / 'figures'}", f"--build={root / 'paper'}", *more]
+    arguments = [
+        str(root / "report.html"),
+        f"--data={root / 'data'}",
+        f"--figures={root / 'figures'}",
+        f"--build={root / 'paper'}",
+        *more,
+    ]
     return report.main(arguments), root / "report.html"
 
 
@@ -189,12 +227,18 @@ def test_nothing_is_loaded_from_elsewhere(shown):
 def test_formulas_are_mathml(shown, tree):
     """Browsers draw an element with a wrong number of parts as an error, or in a row."""
     formulas = list(tree.iter(MATH + "math"))
-    written = len(re.findall(r"\$\$[^$]+\$\$", STORY)) + len(re.findall(r"\$[^$\n]+\$", re.sub(r"\$\$[^$]+\$\$", "", STORY)))
+    written = len(re.findall(r"\$\$[^$]+\$\$", STORY)) + len(
+        re.findall(r"\$[^$\n]+\$", re.sub(r"\$\$[^$]+\$\$", "", STORY))
+    )
     assert len(formulas) >= written > 40
-    parts = dict.fromkeys(("msup", "msub", "mover", "munder", "mfrac", "mroot"), 2) | dict.fromkeys(("msubsup", "munderover"), 3)
+    parts = dict.fromkeys(("msup", "msub", "mover", "munder", "mfrac", "mroot"), 2) | dict.fromkeys(
+        ("msubsup", "munderover"), 3
+    )
     for formula in formulas:
         for element in formula.iter():
-            assert len(element) == parts.get(element.tag.removeprefix(MATH), len(element)), ElementTree.tostring(formula, "unicode")
+            assert len(element) == parts.get(element.tag.removeprefix(MATH), len(element)), ElementTree.tostring(
+                formula, "unicode"
+            )
     left = text_of(tree.find(f"{NS}body/{NS}main")).replace(SHOWN_HOSTILE, "")  # what a file holds is shown as it is
     assert "$" not in left and not re.search(r"\\[a-zA-Z]|\{\{|\}\}", left)
     for number in ("(7)", "(14)", "(15)", "(18)", "(19)", "(20)", "(21)"):
@@ -209,20 +253,28 @@ def test_every_claim_stands_there_with_its_verdict_in_words(tree):
         for text in (text_of(article), " ".join(line)):
             assert expected in text and re.search(rf"[✓◐✗?] {row['verdict']}", text), text
     assert "1.235 (1 to 2)" in text_of(by_id(tree, "claim-C1")) and "5 of 7" in text_of(by_id(tree, "claim-C1"))
-    counts = "Of 4: reproduced 1, reproduced only under a named reading of the text 1, not reproduced 1, not checkable 1."
+    counts = (
+        "Of 4: reproduced 1, reproduced only under a named reading of the text 1, not reproduced 1, not checkable 1."
+    )
     assert counts in text_of(after(tree, "verdicts", "caption"))
 
 
 def test_the_table_paper_against_ours_is_that_of_tables(whole, tree):
     lines = tables.markdown(tables.read(whole[0] / "figures" / "table.csv")).splitlines()
-    assert cells(after(tree, "paper-against-ours", "table")) == [line[2:-2].split(" | ") for line in lines if "---" not in line]
+    assert cells(after(tree, "paper-against-ours", "table")) == [
+        line[2:-2].split(" | ") for line in lines if "---" not in line
+    ]
 
 
 def test_numbers_in_sentences_are_those_of_the_metrics(whole, tree):
     """Medians computed here a second time from what `tables.comparison` was given."""
     chosen = whole[1][whole[1]["kind"] == "window"]
     points = [text_of(point) for point in after(tree, "in-short", "ul")]
-    pairs = [("reference", "gaussian"), ("reference", "linear")], [("torque", "gaussian"), ("torque", "linear")], [("torque", "mechanical")]
+    pairs = (
+        [("reference", "gaussian"), ("reference", "linear")],
+        [("torque", "gaussian"), ("torque", "linear")],
+        [("torque", "mechanical")],
+    )
     for point, sources_of, digits in zip(points, pairs, (3, 3, 2), strict=True):
         expected = [
             chosen[(chosen["input"] == i) & (chosen["model"] == m) & (chosen["angle"] == angle)]["nrmse"].median()
@@ -247,17 +299,29 @@ def test_summaries_of_studies(whole, tree):
     assert "0.75 %, with noise of 1 % 2 %" in text_of(after(tree, "the-rigs-parameters", "p"))
     assert "without noise 25% of the stretches" in text_of(after(tree, "length-of-the-data", "p"))
     assert cells(after(tree, "eigenpairs", "table"))[1] == ["linear", "2", "1", "0.25"]
-    assert cells(after(tree, "the-readings-nearest-to-the-paper", "table"))[1][-4:] == ["words", "4.00", "5.00", "0.123"]
+    assert cells(after(tree, "the-readings-nearest-to-the-paper", "table"))[1][-4:] == [
+        "words",
+        "4.00",
+        "5.00",
+        "0.123",
+    ]
 
 
 def test_provenance_is_that_of_the_records(tree):
-    assert cells(after(tree, "where-the-numbers-come-from", "table"))[1] == ["01_data_generation", "a" * 12, "2026-01-02T03:04:05+00:00", "1.2"]
+    assert cells(after(tree, "where-the-numbers-come-from", "table"))[1] == [
+        "01_data_generation",
+        "a" * 12,
+        "2026-01-02T03:04:05+00:00",
+        "1.2",
+    ]
     assert "Linux <x>" in text_of(tree) and "avx, fma" in text_of(tree)
 
 
 def test_a_record_without_its_notebook_is_no_run(copy):
     (copy / "paper" / "02_identification.ipynb").unlink()
-    assert len(cells(after(parsed(report.report(STORY, sources(copy))[0]), "where-the-numbers-come-from", "table"))) == 2
+    assert (
+        len(cells(after(parsed(report.report(STORY, sources(copy))[0]), "where-the-numbers-come-from", "table"))) == 2
+    )
 
 
 def test_headings_that_are_alike_have_names_of_their_own():
@@ -280,7 +344,10 @@ def test_the_page_can_be_walked_and_read_aloud(tree):
         assert len(image.get("alt")) > 30 and int(image.get("width")) == 336 and int(image.get("height")) == 192
     for table in tree.iter(NS + "table"):
         assert text_of(table.find(NS + "caption"))
-        assert all(cell.get("scope") == ("col" if cell in list(table.find(f"{NS}thead/{NS}tr")) else "row") for cell in table.iter(NS + "th"))
+        assert all(
+            cell.get("scope") == ("col" if cell in list(table.find(f"{NS}thead/{NS}tr")) else "row")
+            for cell in table.iter(NS + "th")
+        )
 
 
 # --- what can be wrong ---------------------------------------------------------------------------------------------------------
@@ -289,7 +356,9 @@ def test_the_page_can_be_walked_and_read_aloud(tree):
 def test_what_comes_from_files_is_text(shown, tree):
     assert "<script" not in shown and "<b>" not in shown
     assert text_of(by_id(tree, "claim-C4")).count("<script>alert(1)</script>") == 2
-    assert "**bold**" in text_of(by_id(tree, "claim-C4")) and "{{ data/claims.csv: claim }}" in text_of(by_id(tree, "claim-C4"))
+    assert "**bold**" in text_of(by_id(tree, "claim-C4")) and "{{ data/claims.csv: claim }}" in text_of(
+        by_id(tree, "claim-C4")
+    )
 
 
 @given(st.text())
@@ -309,7 +378,11 @@ def test_a_missing_file_is_one_sentence(copy, capsys, name, heading):
     (copy / name.replace("build/", "paper/")).unlink()
     code, written = run(copy)
     output = capsys.readouterr()
-    assert code == 0 and f"not shown: {name} is not there: `make all` makes it." in output.err and "Traceback" not in output.err
+    assert (
+        code == 0
+        and f"not shown: {name} is not there: `make all` makes it." in output.err
+        and "Traceback" not in output.err
+    )
     text = written.read_text(encoding="utf-8")
     section = text.split(f">{page.escape(heading)}</h")[-1].split("<h2")[0].split("<h3")[0]
     sentence = text_of(ElementTree.fromstring(re.search('<p class="lacking">.*?</p>', section)[0]))
@@ -425,7 +498,11 @@ def test_the_command_names_the_profile(small):
 def test_what_is_looked_up_is_text_and_formulas_stay(small):
     write(small.data / "z.csv", "k", [("**a** <b> `c` $d$ {{ e }}",)])
     html = page.converter(None, [])(lookups.render('$\\frac{{a}}{{b}}$ {{ value("data/z.csv", "k") }}', small))
-    assert text_of(ElementTree.fromstring(html)).endswith("**a** <b> `c` $d$ {{ e }}") and html.count("<math") == 1 and "<mfrac>" in html
+    assert (
+        text_of(ElementTree.fromstring(html)).endswith("**a** <b> `c` $d$ {{ e }}")
+        and html.count("<math") == 1
+        and "<mfrac>" in html
+    )
 
 
 # --- in a browser --------------------------------------------------------------------------------------------------------------
@@ -444,11 +521,14 @@ def test_in_a_browser_without_network(browser, whole, shown, width):
     assert [url for url in requested if not url.startswith("data:")] == [written.as_uri()] and complaints == []
     assert opened.evaluate("[...document.images].filter(i => !(i.complete && i.naturalWidth > 0)).length") == 0
     drawn = opened.evaluate("[...document.images].map(i => i.getBoundingClientRect().width)")
-    assert len(drawn) == len(DRAWN) and all(340 < size <= width for size in drawn)  # wider than they are, as wide as there is room
+    assert len(drawn) == len(DRAWN) and all(
+        340 < size <= width for size in drawn
+    )  # wider than they are, as wide as there is room
     heights = opened.evaluate("[...document.querySelectorAll('math')].map(m => m.getBoundingClientRect().height)")
     assert len(heights) > 40 and min(heights) > 5
     fraction, part = (
-        opened.evaluate(f"document.querySelector('{element}').getBoundingClientRect().height") for element in ("mfrac", "mfrac mi, mfrac mn")
+        opened.evaluate(f"document.querySelector('{element}').getBoundingClientRect().height")
+        for element in ("mfrac", "mfrac mi, mfrac mn")
     )
     assert fraction > 1.5 * part  # drawn one above the other, not in a row
     assert opened.evaluate("document.documentElement.scrollWidth") <= width

@@ -1,6 +1,5 @@
 """Scoring on windows, and the table made from it."""
 
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -53,7 +52,9 @@ def test_diverged_windows_are_counted_and_left_out(two):
     scores = validation.score(Late(error=0.1, bad=[3, 4, 12]), two, 5.0).set_index(["recording", "angle"])
     assert list(scores["diverged"]) == [2, 2, 1, 1]
     kept = two["second"].cut(501).states[[0, 1, 3, 4, 5, 6, 7, 8, 9]][..., [2]]
-    assert scores.loc[("second", "yaw"), "nrmse"] == pytest.approx(100 * 0.1 / np.ptp(two["second"].cut(501).states[..., 2]))
+    assert scores.loc[("second", "yaw"), "nrmse"] == pytest.approx(
+        100 * 0.1 / np.ptp(two["second"].cut(501).states[..., 2])
+    )
     assert scores.loc[("second", "yaw"), "enr"] == pytest.approx(metrics.enr(kept, kept + 0.1)[0])
     gone = validation.score(Late(bad=slice(None)), two, 5.0)
     assert gone["nrmse"].isna().all() and list(gone["diverged"]) == [10] * 4
@@ -72,8 +73,14 @@ def test_mistakes_name_recording_and_angle(experiment):
     still = tras.Recording(experiment.states[:1] * [1, 1, 0, 1], dt=0.01, state_names=experiment.state_names)
     pitch = experiment.select(states=["phi", "phidot"])
     for call, words in (
-        (lambda: validation.score(Late(), {"moving": experiment.select(inputs=[]), "still": still}, 5.0), "recording 'still': yaw: the truth psi is constant"),
-        (lambda: validation.score(Late(), {"half": pitch}, 5.0), "recording 'half': yaw: there is no state 'psi'; there are phi, phidot"),
+        (
+            lambda: validation.score(Late(), {"moving": experiment.select(inputs=[]), "still": still}, 5.0),
+            "recording 'still': yaw: the truth psi is constant",
+        ),
+        (
+            lambda: validation.score(Late(), {"half": pitch}, 5.0),
+            "recording 'half': yaw: there is no state 'psi'; there are phi, phidot",
+        ),
         (lambda: validation.score(Late(), {"short": experiment}, 50.0), "recording 'short': samples = 5001"),
         (lambda: growth_of(Late(), still, 5.0), "yaw: the truth psi is constant"),
         (lambda: typical_of(Late(), still, 5.0), "yaw: the truth psi is constant"),
@@ -133,7 +140,12 @@ def a_table():
 
 def test_comparison_takes_median_and_range_over_the_multisines_only():
     table = a_table()
-    row = table[(table["kind"] == "window") & (table["metric"] == "nrmse") & (table["angle"] == "yaw") & (table["input"] == "torque")].iloc[0]
+    row = table[
+        (table["kind"] == "window")
+        & (table["metric"] == "nrmse")
+        & (table["angle"] == "yaw")
+        & (table["input"] == "torque")
+    ].iloc[0]
     assert (row["median"], row["lowest"], row["highest"]) == pytest.approx((3.4, 3.1, 3.9))
     assert (row["windows"], row["diverged"]) == (249, 3)
     paper = table[table["input"] == "paper"]
@@ -165,9 +177,13 @@ def test_missing_files_and_markers_are_named(tmp_path, capsys):
     (tmp_path / "README.md").write_text("no markers")
     assert pages.main(["table", f"--figures={ROOT / 'figures'}", f"--pages={tmp_path}", "--write"]) == 2
     assert "README.md must hold" in capsys.readouterr().err and (tmp_path / "README.md").read_text() == "no markers"
-    assert pages.main(["tables"]) == 2 and "there is no table 'tables': did you mean 'table'?" in capsys.readouterr().err
+    assert (
+        pages.main(["tables"]) == 2 and "there is no table 'tables': did you mean 'table'?" in capsys.readouterr().err
+    )
 
 
 def test_the_readme_holds_the_committed_table():
     """`make readme` wrote it from figures/table.csv, which `make all` makes: no number in it was typed."""
-    assert tables.markdown(tables.read(ROOT / "figures" / "table.csv")) in (ROOT / "README.md").read_text(encoding="utf-8")
+    assert tables.markdown(tables.read(ROOT / "figures" / "table.csv")) in (ROOT / "README.md").read_text(
+        encoding="utf-8"
+    )

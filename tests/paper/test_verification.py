@@ -71,7 +71,12 @@ def write_run(values, dt=0.01):
 
 
 def write_model(header='{"kind": "K", "strength": 0.1, "versions": {"numpy": "1"}}', **changes):
-    arrays = {"K": np.arange(400.0).reshape(20, 20), "noise": np.array([1e-15, 3e-16]), "rank": np.array(3), "poles": np.array([1 + 2j])}
+    arrays = {
+        "K": np.arange(400.0).reshape(20, 20),
+        "noise": np.array([1e-15, 3e-16]),
+        "rank": np.array(3),
+        "poles": np.array([1 + 2j]),
+    }
     np.savez("data/model.npz", header=np.array(header), **(arrays | changes))
 
 
@@ -200,9 +205,18 @@ def test_a_damaged_reference(project, what, capsys):
 
 # What is done to the repository, whose files stand for the figures and their tables; and what is said of one with other bytes.
 UNCOMMITTED = {
-    "no repository": (lambda: shutil.rmtree(".git"), "MISSING .*git has no {} to compare with: clone the repository, or commit the file"),
-    "not committed": (lambda: subprocess.run(["git", "update-ref", "-d", "HEAD"], check=True), "MISSING .*git has no {} to compare with"),
-    "regenerated and committed": (lambda: commit("figures"), "MISSING .*git has another {} than the reference names: commit it together"),
+    "no repository": (
+        lambda: shutil.rmtree(".git"),
+        "MISSING .*git has no {} to compare with: clone the repository, or commit the file",
+    ),
+    "not committed": (
+        lambda: subprocess.run(["git", "update-ref", "-d", "HEAD"], check=True),
+        "MISSING .*git has no {} to compare with",
+    ),
+    "regenerated and committed": (
+        lambda: commit("figures"),
+        "MISSING .*git has another {} than the reference names: commit it together",
+    ),
 }
 
 
@@ -216,7 +230,11 @@ def test_a_figure_that_git_does_not_have_is_named(project, what, capsys):
     assert status == 1
     for name in ("figures/plot.png", "figures/plot.csv"):
         assert re.search(pattern.format(name), lines[name]), lines[name]
-    assert all(line.startswith("same bytes") for name, line in lines.items() if not name.startswith("figures/plot.") or name.endswith("pdf"))
+    assert all(
+        line.startswith("same bytes")
+        for name, line in lines.items()
+        if not name.startswith("figures/plot.") or name.endswith("pdf")
+    )
 
 
 def test_equal_bytes_need_no_git(project, capsys):
@@ -231,8 +249,12 @@ def test_git_has_the_figures_that_the_reference_names():
     if tree.returncode:
         pytest.skip("this is no git repository")
     names = set(tree.stdout.split())
-    contents = {name: subprocess.run(["git", "show", f"HEAD:./{name}"], cwd=ROOT, capture_output=True).stdout for name in names}
-    sums = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items() if name.startswith("figures/")}
+    contents = {
+        name: subprocess.run(["git", "show", f"HEAD:./{name}"], cwd=ROOT, capture_output=True).stdout for name in names
+    }
+    sums = {
+        name: hashlib.sha256(content).hexdigest() for name, content in contents.items() if name.startswith("figures/")
+    }
     manifest = contents["reference/SHA256SUMS"].decode().splitlines()
     expected = dict(reversed(line.split("  ")) for line in manifest if "figures/" in line)
     assert sums == {name: value for name, value in expected.items() if not name.endswith(artefacts.DRAWINGS)}
@@ -241,7 +263,11 @@ def test_git_has_the_figures_that_the_reference_names():
 
 def test_what_make_no_longer_builds_and_what_has_no_reference(project, capsys):
     status, lines = verdicts(capsys, FILES[1:])
-    assert status == 1 and lines["data/table.csv"].startswith("MISSING") and "no longer builds it" in lines["data/table.csv"]
+    assert (
+        status == 1
+        and lines["data/table.csv"].startswith("MISSING")
+        and "no longer builds it" in lines["data/table.csv"]
+    )
     Path("data/new.csv").write_text(TABLE)
     status, lines = verdicts(capsys, [*FILES, "data/new.csv"])
     assert status == 1 and "has no reference for it: make bless" in lines["data/new.csv"]
@@ -256,7 +282,11 @@ def test_without_a_manifest_one_sentence(project, content, capsys):
     capsys.readouterr()
     assert verification.main(["data/table.csv"]) == 2
     printed = capsys.readouterr()
-    assert printed.out == "" and len(printed.err.splitlines()) == 1 and "git checkout reference, or make bless" in printed.err
+    assert (
+        printed.out == ""
+        and len(printed.err.splitlines()) == 1
+        and "git checkout reference, or make bless" in printed.err
+    )
 
 
 def test_bless_replaces_what_changed_and_removes_what_went(project, capsys):

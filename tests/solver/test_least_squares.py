@@ -53,7 +53,9 @@ def product(A, x):
     """A @ (high, low), every product of slices exact (K. Ozaki et al., Numer. Algorithms 59, 2012, 95), about 100 bits."""
     bits = int((53 - np.ceil(np.log2(max(A.shape[1], 2)))) // 2)
     high = slices(x[0], 0, bits, 5)
-    parts = [(depth, part) for depth, part in enumerate(high)] + [(3 + k, part) for k, part in enumerate(slices(x[1], 0, bits, 3))]
+    parts = [(depth, part) for depth, part in enumerate(high)] + [
+        (3 + k, part) for k, part in enumerate(slices(x[1], 0, bits, 3))
+    ]
     total = (np.zeros((len(A), x[0].shape[1])),) * 2
     for i, a in enumerate(slices(A, 1, bits, 5)):
         for depth, part in parts:
@@ -92,7 +94,10 @@ def exact_solution(X, Y):
     X = [[Fraction(v) for v in row] for row in X.tolist()]
     Y = [[Fraction(v) for v in row] for row in Y.tolist()]
     p, q = len(X[0]), len(Y[0])
-    A = [[sum(r[i] * r[j] for r in X) for j in range(p)] + [sum(r[i] * y[k] for r, y in zip(X, Y)) for k in range(q)] for i in range(p)]
+    A = [
+        [sum(r[i] * r[j] for r in X) for j in range(p)] + [sum(r[i] * y[k] for r, y in zip(X, Y)) for k in range(q)]
+        for i in range(p)
+    ]
     for i in range(p):
         A[i] = [value / A[i][i] for value in A[i]]
         for k in range(p):
@@ -131,7 +136,9 @@ def test_degree_4_on_reference_driven_data_within_1e_8_of_extended_precision(clo
     """K of the model as users fit it, 50 000 pairs, condition 5e8: plain Gram is off by 500 %, LAPACK's QR by 4e-8."""
     model = tras.KoopmanModel(tras.Monomials(4), "one_step", regularization=None).fit(closed_loop)
     assert len(model.names_) == model.rank_ == 210 and model.condition_number > 1e8
-    x, u, y = (np.concatenate(part) for part in zip(*koopman.snapshot_pairs(model.channels_.scaled(closed_loop), 10**6)))
+    x, u, y = (
+        np.concatenate(part) for part in zip(*koopman.snapshot_pairs(model.channels_.scaled(closed_loop), 10**6))
+    )
     assert len(x) == 50000
     X, D = koopman.rows(model.dictionary_, x, u, y)
     some = [1, 2, 3, 4, 9, 100, 150]  # the states, and functions of degree 2 to 4
@@ -156,7 +163,9 @@ def test_scales_of_columns_do_not_matter():
     X, factors = rng.normal(size=(20000, 40)) + 1.0, 10.0 ** rng.uniform(-8, 8, 40)
     Y = np.sin(X[:, :3])
     plain, scaled = least_squares([(X, Y)]), least_squares([(X * factors, Y)])
-    assert scaled.condition_number > 1e12 and scaled.scaled_condition_number == pytest.approx(plain.scaled_condition_number, rel=1e-8)
+    assert scaled.condition_number > 1e12 and scaled.scaled_condition_number == pytest.approx(
+        plain.scaled_condition_number, rel=1e-8
+    )
     assert columnwise(scaled.coefficients * factors[:, None], plain.coefficients) <= 1e-12
     assert scaled.rank == 40
     assert np.max(plain.rounding_error) < 1e-14
@@ -217,7 +226,10 @@ def test_dependent_columns_are_found_and_named(kind, units):
     Y = X @ np.ones((8, 1))
     fit = StreamingLeastSquares().update(X, Y).solve([f"f{j}" for j in range(8)])
     assert fit.rank == 7 and np.isinf(fit.rounding_error).all()
-    with pytest.raises(ValueError, match="8 functions are linearly dependent on this data .numerical rank 7; .*truncated or regularised") as caught:
+    with pytest.raises(
+        ValueError,
+        match="8 functions are linearly dependent on this data .numerical rank 7; .*truncated or regularised",
+    ) as caught:
         _ = fit.coefficients
     named = set(str(caught.value).split("rank 7; ")[1].split(" take part")[0].split(", "))
     assert named and named <= involved
@@ -232,7 +244,10 @@ def test_fewer_rows_than_columns():
     X, _ = dependent("few")
     fit = StreamingLeastSquares().update(X, X[:, :1]).solve()
     assert fit.rank == 5
-    with pytest.raises(ValueError, match="5 snapshot pairs cannot determine 8 functions; record at least 8 pairs or use a smaller dictionary"):
+    with pytest.raises(
+        ValueError,
+        match="5 snapshot pairs cannot determine 8 functions; record at least 8 pairs or use a smaller dictionary",
+    ):
         _ = fit.coefficients
 
 
@@ -327,7 +342,9 @@ def test_merged_solvers_are_as_good_as_one(kind, common):
     exact = extended(X, Y, straight.R)[0]
     assert fit.rows == len(X) and fit.rank == 10
     # Where rows are of very different kinds one solver, too, is worse than rounding of the regressors alone would make it.
-    assert columnwise(fit.coefficients, exact) <= 10 * max(np.max(straight.rounding_error), columnwise(straight.coefficients, exact))
+    assert columnwise(fit.coefficients, exact) <= 10 * max(
+        np.max(straight.rounding_error), columnwise(straight.coefficients, exact)
+    )
     assert np.allclose(fit.residual, straight.residual, rtol=1e-10)
     # ... and more rows may follow.
     assert merged.update(X[:6000], Y[:6000]).solve().rows == 30_000
@@ -341,7 +358,9 @@ def test_a_copy_keeps_its_rows_when_the_original_goes_on(rows):
     before = {key: value.copy() for key, value in kept.state().items()}
     solver.update(X[5600:6000], Y[5600:6000]).update(X, Y).update(X[:10], Y[:10])
     assert all(np.array_equal(value, before[key]) for key, value in kept.state().items())
-    assert kept.rows == 5600 and np.array_equal(kept.solve().R, StreamingLeastSquares().update(X[:5000], Y[:5000]).update(X[5000:5600], Y[5000:5600]).solve().R)
+    assert kept.rows == 5600 and np.array_equal(
+        kept.solve().R, StreamingLeastSquares().update(X[:5000], Y[:5000]).update(X[5000:5600], Y[5000:5600]).solve().R
+    )
 
 
 def test_merging_nothing_and_what_does_not_fit(rows):
@@ -368,7 +387,9 @@ def test_the_callers_arrays_may_be_used_again(rows):
     for k in range(0, 1000, 100):
         buffer[:] = X[k : k + 100]
         solver.update(buffer, Y[k : k + 100])
-    assert np.allclose(solver.solve().coefficients, least_squares([(X[:1000], Y[:1000])]).coefficients, rtol=1e-11, atol=1e-13)
+    assert np.allclose(
+        solver.solve().coefficients, least_squares([(X[:1000], Y[:1000])]).coefficients, rtol=1e-11, atol=1e-13
+    )
 
 
 def test_directions_that_only_late_rows_contain():
@@ -388,7 +409,10 @@ def test_directions_that_only_late_rows_contain():
 def test_nan_and_infinity_are_refused(bad, where):
     arrays = {"regressors": np.random.default_rng(0).normal(size=(300, 3)), "targets": np.ones((300, 1))}
     arrays[where][150, 0] = bad
-    with np.errstate(over="ignore"), pytest.raises(ValueError, match="NaN, infinity or values too large to square; repair them"):
+    with (
+        np.errstate(over="ignore"),
+        pytest.raises(ValueError, match="NaN, infinity or values too large to square; repair them"),
+    ):
         StreamingLeastSquares(panel=64).update(*arrays.values()).solve()
 
 
@@ -399,7 +423,10 @@ def test_nan_and_infinity_are_refused(bad, where):
         (lambda s: s.state(), "no rows; call update"),
         (lambda s: s.update(np.ones((5, 2)), np.ones((6, 1))), "regressors has 5 rows but targets has 6"),
         (lambda s: s.update(np.ones(5), np.ones((5, 1))), r"regressors has shape \(5,\); give .rows, columns."),
-        (lambda s: s.update(np.ones((5, 2)), np.ones((5, 1))).update(np.ones((5, 3)), np.ones((5, 1))), "earlier ones .2, 1.; they must be alike"),
+        (
+            lambda s: s.update(np.ones((5, 2)), np.ones((5, 1))).update(np.ones((5, 3)), np.ones((5, 1))),
+            "earlier ones .2, 1.; they must be alike",
+        ),
     ],
 )
 def test_mistakes_are_named(call, words):
@@ -504,7 +531,13 @@ def test_rows_in_the_basis_against_extended_precision(first, overwrite):
 
 
 @settings(max_examples=25, deadline=None)
-@given(seed=st.integers(0, 10**6), p=st.integers(1, 40), rows=st.integers(1, 3000), decades=st.floats(0, 9), blocks=st.integers(1, 4))
+@given(
+    seed=st.integers(0, 10**6),
+    p=st.integers(1, 40),
+    rows=st.integers(1, 3000),
+    decades=st.floats(0, 9),
+    blocks=st.integers(1, 4),
+)
 def test_a_basis_of_a_sketch_serves_all_its_rows(seed, p, rows, decades, blocks):
     """In it the rows have a condition number of some tens at most, whatever that of their functions; fewer rows than functions: their rank."""
     rng = np.random.default_rng(seed)
@@ -555,7 +588,9 @@ def narrow_functions(rows, p=300):
     """Blocks of one panel whose functions are nearly dependent in each: each of the last 200 columns lives in few rows."""
     rng = np.random.default_rng(11)
     X = rng.normal(size=(rows, p))
-    X[:, 100:] = np.exp(-((rng.uniform(-1, 1, (rows, 1)) - np.linspace(-1, 1, p - 100)) ** 2) / 0.02**2) + 0.1 * X[:, :1]
+    X[:, 100:] = (
+        np.exp(-((rng.uniform(-1, 1, (rows, 1)) - np.linspace(-1, 1, p - 100)) ** 2) / 0.02**2) + 0.1 * X[:, :1]
+    )
     Y = np.tanh(X[:, :3] + X[:, 150:153])
     return X, Y, [(X[k : k + 4100], Y[k : k + 4100]) for k in range(0, rows, 4100)]
 

@@ -19,7 +19,9 @@ def problem(seed, *, N=None, m=None, constant=True):
     regressors *= 10.0 ** rng.uniform(-1, 1, N + m)
     if constant:
         regressors[:, 0] = 1
-    free = np.vstack([np.linalg.qr(rng.normal(size=(N, N)))[0] + 0.05 * rng.normal(size=(N, N)), rng.normal(size=(m, N))])
+    free = np.vstack(
+        [np.linalg.qr(rng.normal(size=(N, N)))[0] + 0.05 * rng.normal(size=(N, N)), rng.normal(size=(m, N))]
+    )
     free[:N] *= rng.uniform(1.01, 1.1) / spectral_radius(inner(free, constant))
     if constant:
         free[:, 0] = np.arange(N + m) == 0
@@ -181,7 +183,10 @@ def test_defective_and_dependent_problems_stay_within_the_circle():
     X = stable_least_squares(np.eye(6), jordan, constant=False)
     assert spectral_radius(X.T) <= 1 and np.sum((X - jordan) ** 2) <= np.sum((jordan / 11) ** 2) * (1 + 1e-9)
     R, free, N = problem(1, N=6, m=2)
-    for dependent in (R[:, 4] + R[:, 3], np.zeros(8)):  # a function that is the sum of two others, or nothing over the data
+    for dependent in (
+        R[:, 4] + R[:, 3],
+        np.zeros(8),
+    ):  # a function that is the sum of two others, or nothing over the data
         R[:, 5] = dependent
         X = stable_least_squares(R, free)
         assert np.isfinite(X).all() and spectral_radius(X[:6].T) <= 1 + 1e-10

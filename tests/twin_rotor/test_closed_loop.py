@@ -69,7 +69,10 @@ def test_everything_needed_to_repeat_it_is_inside(parameters):
     assert recording.attributes["seed"] == 7
     assert recording.attributes["plant_K_psi"] == 0.003
     assert recording.attributes["pid_psi_P"] == tras.PID.defaults(parameters)[1].P
-    assert recording.attributes["pid_phi_limits"] == [-0.144, 0.207] and recording.attributes["pid_psi_limits"] == [-0.241, 0.14]
+    assert recording.attributes["pid_phi_limits"] == [-0.144, 0.207] and recording.attributes["pid_psi_limits"] == [
+        -0.241,
+        0.14,
+    ]
 
 
 def test_saturation_is_counted_at_the_controllers_own_limits(parameters):
@@ -123,7 +126,10 @@ def references(runs, seconds=6.0):
 
 def rigs(runs):
     rng = np.random.default_rng(1)
-    return [tras.PlantParameters(K_psi=k, C_phi=c) for k, c in zip(rng.uniform(0.001, 0.006, runs), rng.uniform(0.01, 0.02, runs))]
+    return [
+        tras.PlantParameters(K_psi=k, C_phi=c)
+        for k, c in zip(rng.uniform(0.001, 0.006, runs), rng.uniform(0.01, 0.02, runs))
+    ]
 
 
 @pytest.mark.parametrize("x0", [None, [0.4, -1.0, 0.2, 1.5]])
@@ -135,7 +141,9 @@ def test_each_run_is_that_of_a_loop_by_itself(several, x0, batch, monkeypatch):
     signals, fleet = references(5), rigs(5)
     controllers = tras.PID.defaults(tras.PlantParameters())
     controllers = tuple(dataclasses.replace(c, limits=(-0.1, 0.1)) for c in controllers)
-    recording = tras.simulate_closed_loops(signals, 0.01, fleet if several else fleet[0], controllers=controllers, x0=x0)
+    recording = tras.simulate_closed_loops(
+        signals, 0.01, fleet if several else fleet[0], controllers=controllers, x0=x0
+    )
     assert recording.states.shape == (5, 601, 4) and recording.input_names == ("phi_ref", "psi_ref", "u_phi", "u_psi")
     at_limits = np.abs(recording.inputs[..., 2:]) >= 0.1
     assert 0.01 < at_limits.mean() < 0.9
@@ -148,7 +156,10 @@ def test_each_run_is_that_of_a_loop_by_itself(several, x0, batch, monkeypatch):
 def test_one_reference_for_many_rigs_and_what_is_recorded():
     three = rigs(3)
     recording = tras.simulate_closed_loops(references(1)[0], 0.01, three, attributes={"study": "spring"})
-    assert recording.attributes["plant_K_psi"] == [rig.K_psi for rig in three] and recording.attributes["study"] == "spring"
+    assert (
+        recording.attributes["plant_K_psi"] == [rig.K_psi for rig in three]
+        and recording.attributes["study"] == "spring"
+    )
     assert recording.attributes["plant_G_c"] == three[0].G_c
     assert np.ptp(recording.states[:, -1, 2]) > 1e-4  # the rigs do differ
     assert np.array_equal(recording.inputs[0, :, :2], recording.inputs[2, :, :2])
@@ -162,7 +173,9 @@ def test_one_reference_for_many_rigs_and_what_is_recorded():
 def test_at_rest_on_its_reference_a_rig_stays():
     held = np.repeat(np.array([[0.7, 1.5], [-0.2, -1.0]])[:, None], 100, axis=1)
     recording = tras.simulate_closed_loops(held, 0.01)
-    assert np.allclose(recording.states[..., [0, 2]], held, atol=1e-12) and np.allclose(recording.states[..., [1, 3]], 0, atol=1e-12)
+    assert np.allclose(recording.states[..., [0, 2]], held, atol=1e-12) and np.allclose(
+        recording.states[..., [1, 3]], 0, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize(
@@ -170,11 +183,20 @@ def test_at_rest_on_its_reference_a_rig_stays():
     [
         ({"references": np.zeros((3, 50))}, r"references has shape \(3, 50\); give \(runs, samples, 2\)"),
         ({"references": np.full((2, 50, 2), np.nan)}, "references holds NaN or infinity"),
-        ({"references": np.zeros((2, 50, 2)), "parameters": rigs(3)}, "numbers of runs differ: references 2, parameters 3"),
-        ({"references": np.zeros((2, 50, 2)), "x0": np.zeros((5, 4))}, "numbers of runs differ: references 2, parameters 1, x0 5"),
+        (
+            {"references": np.zeros((2, 50, 2)), "parameters": rigs(3)},
+            "numbers of runs differ: references 2, parameters 3",
+        ),
+        (
+            {"references": np.zeros((2, 50, 2)), "x0": np.zeros((5, 4))},
+            "numbers of runs differ: references 2, parameters 1, x0 5",
+        ),
         ({"references": np.zeros((2, 50, 2)), "x0": [0, 0, 0]}, r"x0 has shape \(3,\)"),
         ({"references": np.zeros((2, 50, 2)), "parameters": ["rig", "rig"]}, "sequence of them, one per run"),
-        ({"references": np.zeros((2, 50, 2)), "parameters": [tras.PlantParameters(), tras.PrintedPlant()]}, "simulate them apart"),
+        (
+            {"references": np.zeros((2, 50, 2)), "parameters": [tras.PlantParameters(), tras.PrintedPlant()]},
+            "simulate them apart",
+        ),
     ],
 )
 def test_mistakes_in_many_runs_are_named(arguments, words):

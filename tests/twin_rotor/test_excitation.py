@@ -81,7 +81,10 @@ RNG = np.random.default_rng(0)
         (lambda: tras.multisine(500, 0.03, [0.8], [1], RNG), "whole number of samples"),
         (lambda: tras.multisine(500, 0, [0.8], [1], RNG), "dt is 0"),
         (lambda: tras.multisine(500, 0.01, [0.8], [1, 2], RNG), "1 channels but peak has 2"),
-        (lambda: tras.multisine(50, 0.01, [0.2, 0.2], [1, 1], RNG, max_correlation=1e-9, draws=3), "none of 3 draws of channel 1"),
+        (
+            lambda: tras.multisine(50, 0.01, [0.2, 0.2], [1, 1], RNG, max_correlation=1e-9, draws=3),
+            "none of 3 draws of channel 1",
+        ),
         (lambda: tras.multisine(500, 0.01, [0.8], [1], "one"), "rng is 'one'; give a numpy.random.Generator or a seed"),
         (lambda: tras.steps(100, 0.01, [1], -1), "rng is -1"),
         (lambda: tras.steps(100, 0.01, [1], RNG, shortest=5, longest=4), "shortest = 5"),

@@ -44,7 +44,9 @@ def test_energy_balance(plant, x, u):
     change = float(mpmath.fdot(gradient, rate))
     # What cancels inside an acceleration leaves its rounding: forces times speeds count too.
     forces = (u[0], plant.C_phi * x[1], plant.G_c, plant.G_s, u[1], plant.C_psi * x[3], plant.K_psi * x[2])
-    size = float(sum(abs(g * r) for g, r in zip(gradient, rate))) + sum(map(abs, forces)) * (abs(x[1]) + abs(x[3])) + 1e-12
+    size = (
+        float(sum(abs(g * r) for g, r in zip(gradient, rate))) + sum(map(abs, forces)) * (abs(x[1]) + abs(x[3])) + 1e-12
+    )
     assert abs(change - power) <= 1e-12 * size
     assert np.isclose(plant.energy(x), float(energy(*point)), rtol=1e-12, atol=1e-12)
 
@@ -79,7 +81,9 @@ def test_the_printed_term_creates_energy_round_a_closed_path(kind, gains):
     x = np.zeros((len(path), 4))
     x[:, [0, 2]] = path
     force = tras.vector_field(x, np.zeros((len(x), 2)), plant)[:, [1, 3]]
-    force *= np.column_stack([np.full(len(x), plant.J_phi), plant.J * np.cos(x[:, 0]) ** 2 + plant.J_psi0])  # by the rig, at rest
+    force *= np.column_stack(
+        [np.full(len(x), plant.J_phi), plant.J * np.cos(x[:, 0]) ** 2 + plant.J_psi0]
+    )  # by the rig, at rest
     work = np.sum((force[1:] + force[:-1]) / 2 * np.diff(path, axis=0))
     expected = plant.J / 2 * 2.0**2 * (math.sin(1.2) ** 2 - math.sin(-0.4) ** 2) if gains else 0.0
     assert work == pytest.approx(expected, abs=1e-7) and (work > 0.03) == gains
@@ -89,7 +93,9 @@ def test_the_printed_plant_says_so_and_the_corrected_one_is_unchanged():
     assert "velocity_term" not in tras.PlantParameters().as_dict()
     assert tras.PrintedPlant().as_dict() == {**tras.PlantParameters().as_dict(), "velocity_term": "as_printed"}
     reference = tras.multisine(20, 0.01, [1.0, 1.0], [0.5, 2.0], np.random.default_rng(0))
-    printed, correct = (tras.simulate_closed_loop(reference, 0.01, plant) for plant in (tras.PrintedPlant(), tras.PlantParameters()))
+    printed, correct = (
+        tras.simulate_closed_loop(reference, 0.01, plant) for plant in (tras.PrintedPlant(), tras.PlantParameters())
+    )
     assert printed.attributes["plant_velocity_term"] == "as_printed" and "plant_velocity_term" not in correct.attributes
     assert np.abs(printed.states - correct.states).max() > 0.01
 
@@ -145,7 +151,9 @@ def dop853(x0, held, dt, plant):
             phiddot, psiddot = accelerations(*x, *u)
             return x[1], phiddot, x[3], psiddot
 
-        states.append(solve_ivp(rates, (0, dt), states[-1], method="DOP853", rtol=1e-12, atol=1e-13, max_step=0.01).y[:, -1])
+        states.append(
+            solve_ivp(rates, (0, dt), states[-1], method="DOP853", rtol=1e-12, atol=1e-13, max_step=0.01).y[:, -1]
+        )
     return np.array(states)
 
 
@@ -171,7 +179,11 @@ START = [0.3, 0.5, 1.0, 3.0]
 SIX_SECONDS = {
     "full torque, yaw spins at 17 rad/s": (0.01, START, np.tile([0.207, -0.241], (601, 1))),
     "full torque the other way": (0.01, START, np.tile([-0.144, 0.140], (601, 1))),
-    "smooth": (0.01, START, np.column_stack([0.03 + 0.1 * np.sin(0.02 * np.arange(601)), 0.1 * np.sin(0.013 * np.arange(601))])),
+    "smooth": (
+        0.01,
+        START,
+        np.column_stack([0.03 + 0.1 * np.sin(0.02 * np.arange(601)), 0.1 * np.sin(0.013 * np.arange(601))]),
+    ),
     "slow sampling": (0.2, START, RNG.uniform(*LIMITS, (31, 2))),
     "yaw spins up as the beam rises": (0.01, [-1, 0, 0, 10], np.tile([0.1, -0.2], (601, 1))),
     "constant, 5 rad/s": (0.01, [0.5, 1, 0, 5], np.tile([-0.144, -0.241], (601, 1))),
@@ -258,7 +270,9 @@ def test_masses_lump_to_the_parameters(parameters):
     masses = parameters.masses()
     rounded = {"m_m": 0.32306, "m_t": 0.27850, "m_cw": 0.01908, "J_x": 0.001497, "J_z": 0.000624}
     assert all(masses[name] == pytest.approx(value, rel=5e-4) for name, value in rounded.items())
-    again = tras.PlantParameters.from_masses(**masses, C_phi=parameters.C_phi, C_psi=parameters.C_psi, K_psi=parameters.K_psi)
+    again = tras.PlantParameters.from_masses(
+        **masses, C_phi=parameters.C_phi, C_psi=parameters.C_psi, K_psi=parameters.K_psi
+    )
     assert np.allclose([*again.as_dict().values()][:8], [*parameters.as_dict().values()][:8], rtol=1e-13)
 
 

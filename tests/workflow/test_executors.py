@@ -86,7 +86,10 @@ def test_what_a_job_raises_is_raised_here(place):
 
     with pytest.raises(ValueError, match="three is no job"):
         list(executors.run(work, JOBS, **place))
-    assert sorted(executors.run(square(), JOBS[:2], (0,), **place)) == [(0, 0), (1, 1)]  # and the next run is not disturbed
+    assert sorted(executors.run(square(), JOBS[:2], (0,), **place)) == [
+        (0, 0),
+        (1, 1),
+    ]  # and the next run is not disturbed
 
 
 def test_who_stops_asking_stops_the_work(elsewhere, tmp_path):
@@ -126,7 +129,9 @@ def test_the_scheduler_looks_for_workers_that_differ(cluster):
 
         return {"place": str(os.getpid())}
 
-    with pytest.raises(SchedulerError, match=f"worker tcp://.* has place .* but {os.getpid()} is needed; install environment.txt there"):
+    with pytest.raises(
+        SchedulerError, match=f"worker tcp://.* has place .* but {os.getpid()} is needed; install environment.txt there"
+    ):
         list(executors.run(square(), JOBS, (0,), scheduler=cluster.scheduler_address, alike=alike))
 
 
@@ -150,7 +155,10 @@ def test_a_worker_without_the_package_is_named(cluster):
         return {}
 
     pid = os.getpid()
-    with pytest.raises(SchedulerError, match="worker tcp://.* cannot import tras .No module named 'tras'.; install environment.txt and this package there"):
+    with pytest.raises(
+        SchedulerError,
+        match="worker tcp://.* cannot import tras .No module named 'tras'.; install environment.txt and this package there",
+    ):
         list(executors.run(square(), JOBS, (0,), scheduler=cluster.scheduler_address, alike=alike))
 
 
@@ -166,7 +174,9 @@ def test_a_scheduler_without_workers_is_named(monkeypatch):
 def test_a_scheduler_that_goes_away_is_named(monkeypatch):
     from distributed import LocalCluster
 
-    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0", processes=False, protocol="tcp") as cluster:
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address=":0", processes=False, protocol="tcp"
+    ) as cluster:
         results = executors.run(square(), [(k,) for k in range(40)], (0,), scheduler=cluster.scheduler_address)
         next(results)
         cluster.close()
@@ -181,7 +191,9 @@ def test_another_kind_of_server_is_no_scheduler(monkeypatch):
         accepted = []
         thread = threading.Thread(target=lambda: accepted.append(server.accept()))
         thread.start()
-        with pytest.raises(SchedulerError, match="cannot be reached within 0.3 s; start one .docs/scale.md., or give another address"):
+        with pytest.raises(
+            SchedulerError, match="cannot be reached within 0.3 s; start one .docs/scale.md., or give another address"
+        ):
             list(executors.run(square(), JOBS, (0,), scheduler=f"tcp://127.0.0.1:{server.getsockname()[1]}"))
         thread.join()
         accepted[0][0].close()
@@ -189,7 +201,9 @@ def test_another_kind_of_server_is_no_scheduler(monkeypatch):
 
 @pytest.mark.parametrize("scheduler", ["cluster", 8786, ("tcp", "host")])
 def test_what_is_no_scheduler_is_refused(scheduler):
-    with pytest.raises(ValueError, match="scheduler is .*; give None, 'processes', or an address such as 'tcp://host:8786'"):
+    with pytest.raises(
+        ValueError, match="scheduler is .*; give None, 'processes', or an address such as 'tcp://host:8786'"
+    ):
         list(executors.run(square(), JOBS, scheduler=scheduler))
 
 

@@ -30,9 +30,13 @@ anything = None
 
 def write_notebook(path, *sources, tagged=(0,)):
     """A notebook of code cells; those whose number is in `tagged` are parameters cells."""
-    notebook = nbformat.v4.new_notebook(metadata={"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}})
+    notebook = nbformat.v4.new_notebook(
+        metadata={"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}
+    )
     for number, source in enumerate(sources):
-        notebook.cells.append(nbformat.v4.new_code_cell(source, metadata={"tags": ["parameters"]} if number in tagged else {}))
+        notebook.cells.append(
+            nbformat.v4.new_code_cell(source, metadata={"tags": ["parameters"]} if number in tagged else {})
+        )
     path.parent.mkdir(exist_ok=True)
     nbformat.write(notebook, path)
     return path
@@ -153,7 +157,11 @@ def test_fail_repair_succeed(tmp_path, capsys):
     write_notebook(path, "n = 1.0", "before = 1", "1 / 0  # here", "print('never')")
     code, executed = run(path, "--outputs", output)
     error = capsys.readouterr().err
-    assert code == 1 and "failed in cell [3]: ZeroDivisionError: division by zero" in error and "    1 / 0  # here" in error
+    assert (
+        code == 1
+        and "failed in cell [3]: ZeroDivisionError: division by zero" in error
+        and "    1 / 0  # here" in error
+    )
     assert str(build / "01_stage.failed.ipynb") in error
     assert [file.name for file in build.iterdir()] == ["01_stage.failed.ipynb"]
 
@@ -189,7 +197,9 @@ for path in {paths!r}:
 @pytest.mark.slow
 def test_provenance_lies_beside_each_artefact(tmp_path, capsys):
     outputs = [tmp_path / "data" / "a.csv", tmp_path / "data" / "models" / "a.npz", tmp_path / "figures" / "a.csv"]
-    path = write_notebook(tmp_path / "notebooks" / "a.ipynb", "seed = 1\nn = 2.0", WRITES.format(paths=list(map(str, outputs))))
+    path = write_notebook(
+        tmp_path / "notebooks" / "a.ipynb", "seed = 1\nn = 2.0", WRITES.format(paths=list(map(str, outputs)))
+    )
     left = tmp_path / "data" / ".a.abcd1234.csv"  # by a run that was killed
     others = tmp_path / "data" / ".b.abcd1234.csv"
     for file in (left, others):
@@ -210,7 +220,9 @@ def test_provenance_lies_beside_each_artefact(tmp_path, capsys):
     assert json.loads(first)["seeds"] == {"seed": 7} and second["seeds"] == {"seed": 1}
     write_notebook(path, "seed = 1", "1 / 0")
     assert run(path, "--outputs", *outputs)[0] == 1
-    assert not (outputs[0].parent / "provenance" / "a.csv.json").exists()  # it would speak of a run that was not this file's last
+    assert not (
+        outputs[0].parent / "provenance" / "a.csv.json"
+    ).exists()  # it would speak of a run that was not this file's last
 
 
 def test_the_state_of_git(tmp_path):
@@ -224,10 +236,15 @@ def test_the_state_of_git(tmp_path):
     clean = provenance.git_state(tmp_path)
     assert re.fullmatch("[0-9a-f]{40}", clean["revision"]) and clean["dirty"] is False and clean["changed"] == []
     (tmp_path / "figures" / "plot 1.png").write_text("2")
-    assert provenance.git_state(tmp_path / "figures", [tmp_path / "figures" / "plot 1.png"]) == clean  # what the run itself writes
+    assert (
+        provenance.git_state(tmp_path / "figures", [tmp_path / "figures" / "plot 1.png"]) == clean
+    )  # what the run itself writes
     assert provenance.git_state(tmp_path)["changed"] == ["figures/plot 1.png"]
     (tmp_path / "a.py").write_text("2")
-    assert provenance.git_state(tmp_path, [tmp_path / "figures" / "plot 1.png"]) == clean | {"dirty": True, "changed": ["a.py"]}
+    assert provenance.git_state(tmp_path, [tmp_path / "figures" / "plot 1.png"]) == clean | {
+        "dirty": True,
+        "changed": ["a.py"],
+    }
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -11,12 +11,12 @@ import pytest
 
 from tras.workflow import cache, provenance, staleness
 
-INIT = '''
+INIT = """
 import importlib
 _ROOMS = {"simulate": "plant", "fit": "model", "draw": "figures", "metrics": "metrics"}
 def __getattr__(name):
     return importlib.import_module(f"tras.{_ROOMS[name]}")
-'''
+"""
 MODULES = {
     "__init__": INIT,
     "plant": "def simulate():\n    return 1\n",
@@ -48,7 +48,9 @@ def project(tmp_path, monkeypatch):
 def write_notebook(path, *sources, text="Some text.", outputs=()):
     cells = [{"cell_type": "markdown", "source": [text], "metadata": {}}]
     for source in sources:
-        cells.append({"cell_type": "code", "source": source, "metadata": {}, "outputs": list(outputs), "execution_count": None})
+        cells.append(
+            {"cell_type": "code", "source": source, "metadata": {}, "outputs": list(outputs), "execution_count": None}
+        )
     path.write_text(json.dumps({"cells": cells, "metadata": {}, "nbformat": 4, "nbformat_minor": 5}))
 
 
@@ -79,8 +81,12 @@ HARMLESS = {
     "comment and blank lines": lambda: change("tras/plant.py", "def", "# a comment\n\n\ndef"),
     "a new docstring": lambda: change("tras/plant.py", "    return", '    """As tras.mplstyle has it."""\n    return'),
     "text of a notebook": lambda: change("notebooks/01_fit.ipynb", "Some text.", "Other text."),
-    "outputs": lambda: write_notebook(Path("notebooks/01_fit.ipynb"), "from tras import fit", "fit()", outputs=[{"output_type": "stream"}]),
-    "metadata": lambda: change("notebooks/01_fit.ipynb", '"metadata": {}, "nbformat"', '"metadata": {"a": 1}, "nbformat"'),
+    "outputs": lambda: write_notebook(
+        Path("notebooks/01_fit.ipynb"), "from tras import fit", "fit()", outputs=[{"output_type": "stream"}]
+    ),
+    "metadata": lambda: change(
+        "notebooks/01_fit.ipynb", '"metadata": {}, "nbformat"', '"metadata": {"a": 1}, "nbformat"'
+    ),
     "comment in the parameters": lambda: change("params.yaml", "# samples", "# number of samples"),
     "a module that nobody imports": lambda: change("tras/lonely.py", "", "x = 1"),
     "a new module": lambda: Path("tras/new.py").write_text("x = 1"),
@@ -123,7 +129,9 @@ async def wait():
 def test_a_docstring_does_not_count_and_any_other_string_does(project, digests, monkeypatch):
     def digest():
         if digests == "key of a stage":
-            return staleness.key_of(Path("notebooks/01_fit.ipynb"), Path("params.yaml"), Path("environment.txt"), package())
+            return staleness.key_of(
+                Path("notebooks/01_fit.ipynb"), Path("params.yaml"), Path("environment.txt"), package()
+            )
         monkeypatch.setattr(cache, "_package", package)
         return cache.code_digest.__wrapped__("tras.plant")
 
@@ -235,7 +243,9 @@ def built(project):
     for name in names:
         Path(name).write_text("1")
     stale()
-    Path("build/01_fit.json").write_text(json.dumps({"outputs": {name: provenance.file_stamp(Path(name)) for name in names}}))
+    Path("build/01_fit.json").write_text(
+        json.dumps({"outputs": {name: provenance.file_stamp(Path(name)) for name in names}})
+    )
     Path("build/01_fit.ipynb").touch()
     assert stale() == []
     return project
@@ -309,6 +319,16 @@ def test_missing_files_are_named(project):
 
 
 def test_it_runs_as_a_plain_script_without_packages(project):
-    command = [sys.executable, "-I", "-S", staleness.__file__, "--build", "build", "--params", "params.yaml", "notebooks/01_fit.ipynb"]
+    command = [
+        sys.executable,
+        "-I",
+        "-S",
+        staleness.__file__,
+        "--build",
+        "build",
+        "--params",
+        "params.yaml",
+        "notebooks/01_fit.ipynb",
+    ]
     subprocess.run(command, check=True)
     assert "tras.plant: " in Path("build/01_fit.key").read_text()

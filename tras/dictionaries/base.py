@@ -12,6 +12,7 @@ from sklearn.base import BaseEstimator
 POSITIVE = "a positive number, in units of the scaled channels"  # what `tras.workflow.arguments.number` says to give
 STRIP = 2**13  # points that are lifted at a time: what some dictionaries make on the way is no larger than that
 
+
 class Dictionary(BaseEstimator):
     """N functions of n states and m inputs, with names and exact Jacobians; scikit-learn conventions.
 
@@ -80,7 +81,9 @@ class Dictionary(BaseEstimator):
     @property
     def names(self):
         """Names of the N functions, channels called x1, x2, ... and u1, u2, ..."""
-        return self.feature_names([f"x{i + 1}" for i in range(self.n_states_)] + [f"u{i + 1}" for i in range(self.n_inputs_)])
+        return self.feature_names(
+            [f"x{i + 1}" for i in range(self.n_states_)] + [f"u{i + 1}" for i in range(self.n_inputs_)]
+        )
 
     def feature_names(self, channels):
         """Names of the N functions for the given channel names, states first."""
@@ -92,7 +95,9 @@ class Dictionary(BaseEstimator):
 
     def get_feature_names_out(self, input_features=None):
         """scikit-learn's name for `feature_names`."""
-        return np.array(self.names if input_features is None else self.feature_names(list(input_features)), dtype=object)
+        return np.array(
+            self.names if input_features is None else self.feature_names(list(input_features)), dtype=object
+        )
 
     @property
     def coordinates(self):
@@ -160,7 +165,9 @@ def _samples(x, u):
     x = np.asarray(x, dtype=float)
     u = np.empty((*x.shape[:-1], 0)) if u is None else np.asarray(u, dtype=float)
     if x.ndim == 0 or u.shape[:-1] != x.shape[:-1]:
-        raise ValueError(f"x has shape {x.shape} and u {u.shape}; give (..., n) and (..., m) with the same leading axes.")
+        raise ValueError(
+            f"x has shape {x.shape} and u {u.shape}; give (..., n) and (..., m) with the same leading axes."
+        )
     return x, u
 
 

@@ -20,7 +20,9 @@ class _Combination(Dictionary):
 
     def _learn(self, z):
         if not self.parts or not all(isinstance(part, Dictionary) for part in self.parts):
-            raise ValueError(f"parts is {self.parts!r}; give dictionaries, for example Union(Monomials(2), GaussianRBF(10)).")
+            raise ValueError(
+                f"parts is {self.parts!r}; give dictionaries, for example Union(Monomials(2), GaussianRBF(10))."
+            )
         x, u = z[: self.n_states_].T, z[self.n_states_ :].T
         self.parts_ = [clone(part).fit(x, u) for part in self.parts]
         # Functions that two parts share must not come twice: they are recognised by their values at random points.

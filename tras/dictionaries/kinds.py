@@ -8,5 +8,6 @@ from tras.dictionaries.radial import GaussianRBF, ThinPlate
 from tras.dictionaries.waves import Exponentials, Fourier
 
 KINDS: dict[str, type[Dictionary]] = {
-    kind.__name__: kind for kind in (Monomials, Exponentials, Fourier, GaussianRBF, ThinPlate, Mechanical, Union, Product)
+    kind.__name__: kind
+    for kind in (Monomials, Exponentials, Fourier, GaussianRBF, ThinPlate, Mechanical, Union, Product)
 }

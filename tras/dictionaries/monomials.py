@@ -44,9 +44,14 @@ class Monomials(Dictionary):
         first = [index.get(word[1:], 0) for word in words]
         letter = [word[0] if word else 0 for word in words]
         ends = np.cumsum(np.bincount([len(word) for word in words]))
-        self._levels = [(slice(a, b), np.array(first[a:b]), np.array(letter[a:b])) for a, b in zip(ends[1:-1], ends[2:])]
+        self._levels = [
+            (slice(a, b), np.array(first[a:b]), np.array(letter[a:b])) for a, b in zip(ends[1:-1], ends[2:])
+        ]
         # The monomials of a level that begin with one channel stand together, and so do the shorter ones.
-        same = [list(group) for _, group in itertools.groupby(range(1 + channels, len(words)), key=lambda j: (len(words[j]), letter[j]))]
+        same = [
+            list(group)
+            for _, group in itertools.groupby(range(1 + channels, len(words)), key=lambda j: (len(words[j]), letter[j]))
+        ]
         self._runs = [(slice(j[0], j[-1] + 1), slice(first[j[0]], first[j[-1]] + 1), letter[j[0]]) for j in same]
         # d/dx_i of a monomial is its exponent times the monomial with one x_i less.
         self._slopes = self._exponents[:, : self.n_states_, None].astype(float)

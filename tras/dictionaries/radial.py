@@ -19,7 +19,9 @@ class Radial(Dictionary):
 
     def _learn(self, z):
         self.centres_ = self._place(z)
-        self.width_ = typical_distance(self.centres_) if isinstance(self.width, str) and self.width == "auto" else self.width
+        self.width_ = (
+            typical_distance(self.centres_) if isinstance(self.width, str) and self.width == "auto" else self.width
+        )
         arguments.number("width", self.width_, 0, ends=False, give=POSITIVE)
         self.width_ = float(self.width_)
 
@@ -27,7 +29,9 @@ class Radial(Dictionary):
         if not isinstance(self.centres, str):
             centres = np.array(self.centres, dtype=float)
             if centres.ndim != 2 or centres.shape[1] != len(z) or not np.isfinite(centres).all():
-                raise ValueError(f"centres has shape {centres.shape}; give (centres, {len(z)}) finite numbers in scaled channels, or a word.")
+                raise ValueError(
+                    f"centres has shape {centres.shape}; give (centres, {len(z)}) finite numbers in scaled channels, or a word."
+                )
             return centres
         arguments.whole_number("n_centres", self.n_centres)
         if self.centres not in CENTRES:
@@ -36,7 +40,9 @@ class Radial(Dictionary):
         if self.centres == "uniform":
             return rng.uniform(-1, 1, size=(self.n_centres, len(z)))
         if z.shape[1] < self.n_centres:
-            raise ValueError(f"n_centres is {self.n_centres} but there are only {z.shape[1]} samples; use fewer centres.")
+            raise ValueError(
+                f"n_centres is {self.n_centres} but there are only {z.shape[1]} samples; use fewer centres."
+            )
         points = z.T[rng.choice(z.shape[1], self.n_centres, replace=False)]
         return points if self.centres == "data" else _kmeans(z.T, points)
 

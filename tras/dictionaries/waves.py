@@ -87,5 +87,11 @@ def _lattice(channels, order):
 
 def _combination(k, channels):
     """``x1 - 2 u1`` for coefficients and names."""
-    terms = [f"{'-' if c < 0 else '+'} {'' if abs(c) == 1 else f'{abs(c):g} '}{name}" for c, name in zip(k, channels) if c]
-    return " ".join(terms).removeprefix("+ ").replace("- ", "-", 1) if terms[0].startswith("-") else " ".join(terms).removeprefix("+ ")
+    terms = [
+        f"{'-' if c < 0 else '+'} {'' if abs(c) == 1 else f'{abs(c):g} '}{name}" for c, name in zip(k, channels) if c
+    ]
+    return (
+        " ".join(terms).removeprefix("+ ").replace("- ", "-", 1)
+        if terms[0].startswith("-")
+        else " ".join(terms).removeprefix("+ ")
+    )

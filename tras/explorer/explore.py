@@ -106,8 +106,15 @@ def explore(choice):
     runs = {name.lower(): predicted.get(name, absent_states)[typical] for name in ("Koopman", "linear")}
     papers = [{"model": "paper", "angle": angle, "nrmse": nrmse} for angle, nrmse in PAPER_NRMSE.items()]
     return Outcome(
-        choice, model, linear, pd.DataFrame(metrics + papers), validation.overlay(fresh[typical], runs),
-        pd.concat(growth, ignore_index=True), pd.concat(spectrum, ignore_index=True), fresh[typical], (*_remarks(model, metrics), *absent),
+        choice,
+        model,
+        linear,
+        pd.DataFrame(metrics + papers),
+        validation.overlay(fresh[typical], runs),
+        pd.concat(growth, ignore_index=True),
+        pd.concat(spectrum, ignore_index=True),
+        fresh[typical],
+        (*_remarks(model, metrics), *absent),
     )
 
 

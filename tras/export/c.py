@@ -184,7 +184,13 @@ def _source(model, name):
         counts = {key: value for key, value in counts.items() if key != "INPUTS" or m} | {"ROWS": len(matrix)}
         arrays["matrix"] = matrix
         if hull is not None:
-            arrays |= {"centre": hull.centre[:, 0], "axes": hull.axes, "low": hull.lower[:, 0], "high": hull.upper[:, 0], "outward": outward}
+            arrays |= {
+                "centre": hull.centre[:, 0],
+                "axes": hull.axes,
+                "low": hull.lower[:, 0],
+                "high": hull.upper[:, 0],
+                "outward": outward,
+            }
         body = _lift(model) + _map(model, hull) + _steps(model, name)
     constants = "enum { " + ", ".join(f"{key} = {value}" for key, value in counts.items()) + " };\n\n"
     return constants + "".join(_array(key, value) for key, value in arrays.items()) + "\n" + body

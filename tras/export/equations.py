@@ -88,14 +88,19 @@ def _points(expansion, recording):
     model = expansion.model
     if recording is not None:
         recording = model.channels_.matched(recording)
-        x, u = (np.concatenate(part) for part in zip(*recording.delayed(model.delays, inputs=model.channels_.delayed_inputs)))
+        x, u = (
+            np.concatenate(part)
+            for part in zip(*recording.delayed(model.delays, inputs=model.channels_.delayed_inputs))
+        )
         samples = np.linspace(0, len(x) - 1, min(len(x), 2000)).astype(int)
         return np.hstack([x, u])[samples].T, "the recording"
     z = np.random.default_rng(0).uniform(-1, 1, (len(expansion.names), 2000))
     if model.hull_ is not None:
         low, high = model.hull_.low, model.hull_.high
         z = model.hull_.centre + model.hull_.axes @ ((low + high) / 2 + z * (high - low) / 2)
-    return z * expansion.scales[:, None] + expansion.offsets[:, None], "random points in the box around the training data"
+    return z * expansion.scales[:, None] + expansion.offsets[
+        :, None
+    ], "random points in the box around the training data"
 
 
 def _shortest(expansion, rows, tolerance, of_change):

@@ -23,7 +23,9 @@ class Expansion:
         self.scales = np.concatenate([model.channels_.z_scale, model.u_scale_])
         self.channels = [*model.channels_.z_names, *model.input_names_]
         self.names = identifiers(self.channels)
-        states = self.names[: len(model.channels_.z_scale) if model.predictor == "vector_field" else len(model.state_names_)]
+        states = self.names[
+            : len(model.channels_.z_scale) if model.predictor == "vector_field" else len(model.state_names_)
+        ]
         pattern = "d{}_dt" if model.predictor == "vector_field" else "{}_next"
         self.left = identifiers(map(pattern.format, states), self.names)
         self.scaled = identifiers([f"{name}_s" for name in self.names], [*self.names, *self.left])

@@ -152,7 +152,13 @@ def _arrays(model, notes):
     matrix, _, hull, outward = map_of(model)
     values["map"] = matrix
     if hull is not None:
-        values["hull"] = {"centre": hull.centre, "axes": hull.axes, "low": hull.lower, "high": hull.upper, "outward": outward}
+        values["hull"] = {
+            "centre": hull.centre,
+            "axes": hull.axes,
+            "low": hull.lower,
+            "high": hull.upper,
+            "outward": outward,
+        }
     if model.predictor == "vector_field":
         values |= {"A": model.generator, "W": model.W_, "substeps": float(model.substeps_)}
     return values

@@ -59,10 +59,12 @@ def _verdict(identification):
     for state in identification.test.state_names:
         error, constant = table.loc[("model", state), "nrmse"], table.loc[(CONSTANT, state), "nrmse"]
         if not error < 0.95 * constant:
-            yield stop(f"{state} is not predicted",
+            yield stop(
+                f"{state} is not predicted",
                 f"Over the test windows {state} is missed by {error:.3g} % of its range; its mean alone misses it by "
                 f"{constant:.3g} %. Do not use the model for it; if nothing here can move it, leave it out "
-                "(STATES=...), for it disturbs the choice of the model for the others.")
+                "(STATES=...), for it disturbs the choice of the model for the others.",
+            )
     row = table.loc["model"].iloc[0]
     if row["diverged"]:
         kind = stop if row["diverged"] > 0.1 * row["windows"] else warning
@@ -81,39 +83,53 @@ def _data(identification, log):
             cure = "The sensor or a stop limits it; keep away from it"
             if is_input:
                 cure = "Record with less, or give the command before the limit and the limit itself"
-            yield warning(f"{name} saturates",
+            yield warning(
+                f"{name} saturates",
                 f"{name} stands at {value:.4g} for {100 * share:.2g} % of the samples. {cure}: "
-                "a smooth model cannot know the limit.")
+                "a smooth model cannot know the limit.",
+            )
         if row["levels"] <= 10:
-            yield (note if is_input else warning)(f"{name} has few values",
-                f"{name} takes only {row['levels']} different values; what happens between them is not in the data.")
+            yield (note if is_input else warning)(
+                f"{name} has few values",
+                f"{name} takes only {row['levels']} different values; what happens between them is not in the data.",
+            )
         elif row["step"] > 0.005 * span:
             percent = f"{100 * row['step'] / span:.2g} %"
             yield note(f"{name} is coarse", f"{name} moves in steps of {row['step']:.3g}, {percent} of its range.")
         if row["wraps"] and not is_input:
-            yield stop(f"{name} jumps by a full turn",
+            yield stop(
+                f"{name} jumps by a full turn",
                 f"{name} jumps by a full turn {row['wraps']} times: an angle that wraps round. "
-                "No model can follow that; unwrap it first (numpy.unwrap, MATLAB's unwrap).")
+                "No model can follow that; unwrap it first (numpy.unwrap, MATLAB's unwrap).",
+            )
             continue
         if row["noise"] > 0.02:
-            yield warning(f"{name} is noisy",
+            yield warning(
+                f"{name} is noisy",
                 f"The noise on {name} is {100 * row['noise']:.2g} % of its range "
                 "(what moves within four samples is counted as noise). Noise on the states biases the fit; "
-                "a better sensor or slower sampling helps more than any model.")
+                "a better sensor or slower sampling helps more than any model.",
+            )
         if not is_input and row["jump"] > 0.3 and row["jump"] > 5 * row["usual"]:
-            yield warning(f"{name} jumps",
+            yield warning(
+                f"{name} jumps",
                 f"{name} changes by {100 * row['jump']:.0f} % of its range within one sample, but by less than "
                 f"{100 * row['usual']:.2g} % in 99 of 100: "
-                "an outlier, or a trial that begins without a column that says so.")
+                "an outlier, or a trial that begins without a column that says so.",
+            )
         if not is_input and row["shift"] > 1:
-            yield warning(f"{name} drifts",
+            yield warning(
+                f"{name} drifts",
                 f"The mean of {name} differs between the first and the second half by {row['shift']:.2g} "
                 "standard deviations: it drifts, or the halves hold different motions. "
-                "The test then asks for something that was not learnt.")
+                "The test then asks for something that was not learnt.",
+            )
     if log.m == 0:
-        yield note("no inputs",
+        yield note(
+            "no inputs",
             "There is no input: the model is of the free motion only. "
-            "If something drives the rig, name it (INPUTS=...).")
+            "If something drives the rig, name it (INPUTS=...).",
+        )
 
 
 def _excitation(identification):
@@ -121,26 +137,34 @@ def _excitation(identification):
     train, test, n = identification.train, identification.test, identification.recording.n
     for name, share in facts["feedback"].items():
         if share > 0.9:
-            yield warning(f"{name} follows the states",
+            yield warning(
+                f"{name} follows the states",
                 f"A linear function of the present states explains {100 * share:.3g} % of {name}: "
                 "a feedback loop, or an input so slow that the states follow it. What the input does and "
-                "what the states do by themselves can hardly be told apart; add a test signal to the input.")
+                "what the states do by themselves can hardly be told apart; add a test signal to the input.",
+            )
     names = list(correlation)
     for i, a in enumerate(names):
         for b in names[i + 1 :]:
             if abs(correlation.loc[a, b]) > 0.8:
-                yield warning(f"{a} and {b} move together",
+                yield warning(
+                    f"{a} and {b} move together",
                     f"The correlation of {a} and {b} is {correlation.loc[a, b]:.2f}: "
-                    "their effects can hardly be told apart. Move them one by one, or by signals of their own.")
+                    "their effects can hardly be told apart. Move them one by one, or by signals of their own.",
+                )
     if facts["rank"] < facts["channels"] or facts["condition"] > 300:
-        yield warning("too little excitation",
+        yield warning(
+            "too little excitation",
             f"Constant, states and inputs (scaled) have a condition number of {facts['condition']:.3g}: "
-            "some combination of channels hardly moves. The model says nothing reliable about it.")
+            "some combination of channels hardly moves. The model says nothing reliable about it.",
+        )
     if facts["order"] is not None and facts["order"] < min(n + 1, 20):
-        yield warning("too little excitation",
+        yield warning(
+            "too little excitation",
             f"The inputs are persistently exciting of order {facts['order']} "
             f"(lags of {facts['lag'] * facts['dt']:.3g} s), a linear model of {n} states asks for {n + 1}. "
-            "Use a signal with more frequencies or more steps.")
+            "Use a signal with more frequencies or more steps.",
+        )
     functions = len(identification.model.names_)
     if train.pairs < 10 * functions:
         yield warning("a short recording", f"{train.pairs} snapshot pairs for {functions} functions: record longer.")
@@ -158,35 +182,47 @@ def _model(identification):
     duration = float((recording.lengths.max() - 1) * recording.dt)
     if fastest > 1 + recording.dt / duration:
         doubling = recording.dt * math.log(2) / math.log(fastest)
-        about = (f"The largest modulus of an eigenvalue is {fastest:.6f}: "
-            f"something in the lifted system doubles every {doubling:.3g} s.")
+        about = (
+            f"The largest modulus of an eigenvalue is {fastest:.6f}: "
+            f"something in the lifted system doubles every {doubling:.3g} s."
+        )
         if model.predictor == "lifted_linear":
             yield warning("an unstable operator", f"{about} Trust predictions no longer than they were tested.")
         else:
-            yield note("an unstable operator",
+            yield note(
+                "an unstable operator",
                 f"{about} Predictions lift the states anew and need not grow with it, but the powers of K do: "
-                "the functions are not closed under the dynamics.")
+                "the functions are not closed under the dynamics.",
+            )
     slow = moving[np.abs(moving["modulus"] - 1) < recording.dt / duration]
     if len(slow):
-        yield note("near-unit eigenvalues",
+        yield note(
+            "near-unit eigenvalues",
             f"{len(slow)} eigenvalues have a modulus so near to one that they would change by "
             f"less than a factor e over the longest trajectory ({duration:.3g} s). "
-            "How such parts go on in the long run is not in the data.")
+            "How such parts go on in the long run is not in the data.",
+        )
     if identification.remarks["treatment"] == "smoothed":
         level = noise_level(recording) / np.ptp(np.concatenate([x for x, _ in recording]), axis=0)
-        yield note("smoothed states",
+        yield note(
+            "smoothed states",
             "The states were smoothed before the fit, and test predictions start from smoothed states "
             f"(noise {100 * level.max():.2g} % of the range at most). "
-            "The table also has predictions that start from states as measured.")
+            "The table also has predictions that start from states as measured.",
+        )
     if model.condition_number > 1e10:
-        yield warning("ill-conditioned",
+        yield warning(
+            "ill-conditioned",
             f"The condition number of the liftings is {model.condition_number:.2g}: "
-            "coefficients mean little by themselves, predictions may still be good.")
+            "coefficients mean little by themselves, predictions may still be good.",
+        )
 
 
 def _reach(identification):
     for name, share in beyond(identification.train, identification.test).items():
         if share > 0.01:
-            yield warning(f"{name} beyond the training data",
+            yield warning(
+                f"{name} beyond the training data",
                 f"{100 * share:.2g} % of the test's samples of {name} are outside the range of the training data, "
-                "where the model is a guess.")
+                "where the model is a guess.",
+            )

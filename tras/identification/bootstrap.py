@@ -111,4 +111,6 @@ def _member(model, recording, number, index):
     try:
         return clone(model).fit(recording[index])
     except ValueError as error:
-        raise ValueError(f"draw {number} of the bootstrap cannot be identified ({error}) Record more, or fit a smaller dictionary.") from error
+        raise ValueError(
+            f"draw {number} of the bootstrap cannot be identified ({error}) Record more, or fit a smaller dictionary."
+        ) from error

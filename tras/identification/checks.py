@@ -106,7 +106,11 @@ def excitation_order(recording, lag=1):
     every = max(1, int(recording.lengths.sum()) // 5_000)
     for order in range(1, _ORDER + 1):
         reach = (order - 1) * lag
-        blocks = [np.hstack([u[k * lag : len(u) - reach + k * lag : every] for k in range(order)]) for _, u in recording if len(u) > reach]
+        blocks = [
+            np.hstack([u[k * lag : len(u) - reach + k * lag : every] for k in range(order)])
+            for _, u in recording
+            if len(u) > reach
+        ]
         rows = np.concatenate(blocks) if blocks else np.empty((0, order * recording.m))
         if len(rows) <= order * recording.m:
             return order - 1
@@ -123,7 +127,9 @@ def feedback(recording):
     x, u = (np.concatenate(part) for part in zip(*recording))
     every = max(1, len(x) // _ROWS)
     x, u = x[::every], u[::every]
-    regressors = np.hstack([np.ones((len(x), 1)), (x - x.mean(axis=0)) / np.where(x.std(axis=0) > 0, x.std(axis=0), 1.0)])
+    regressors = np.hstack(
+        [np.ones((len(x), 1)), (x - x.mean(axis=0)) / np.where(x.std(axis=0) > 0, x.std(axis=0), 1.0)]
+    )
     shares = {}
     for name, values in zip(recording.input_names, u.T):
         values = values - values.mean()
@@ -143,7 +149,9 @@ def spectrum(recording):
     total, weight = 0.0, 0
     for x, u in recording:
         if len(x) >= length >= 8:
-            frequency, density = signal.welch(np.hstack([x, u]), 1 / recording.dt, nperseg=length, detrend="constant", axis=0)
+            frequency, density = signal.welch(
+                np.hstack([x, u]), 1 / recording.dt, nperseg=length, detrend="constant", axis=0
+            )
             total, weight = total + len(x) * density, weight + len(x)
     if not weight:
         return pd.DataFrame(columns=["frequency", *names], dtype=float)
@@ -188,4 +196,6 @@ def _rank(channels):
     half = np.where(high > low, (high - low) / 2, 1.0)
     scaled = np.hstack([np.ones((len(channels), 1)), (channels - (high + low) / 2) / half])
     singular = np.linalg.svd(scaled, compute_uv=False)
-    return int((singular > _SMALL * singular[0]).sum()), float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
+    return int((singular > _SMALL * singular[0]).sum()), float(singular[0] / singular[-1]) if singular[
+        -1
+    ] > 0 else float("inf")

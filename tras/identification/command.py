@@ -77,9 +77,19 @@ def _parser():
     add("--trial", default="", help="the column that tells trials apart")
     add("--dt", type=float, default=0.0, help="sampling time in s, without a column of time")
     add("--resample", type=float, default=0.0, help="new sampling time in s, for uneven times")
-    add("--predictor", default="", choices=["", "vector_field", "one_step", "lifted_linear"], help="the only predictor to try")
+    add(
+        "--predictor",
+        default="",
+        choices=["", "vector_field", "one_step", "lifted_linear"],
+        help="the only predictor to try",
+    )
     add("--delays", type=_numbers, default=[], help="the only numbers of delays to try, separated by commas")
-    add("--smoothing", default="", choices=["", "yes", "no"], help="smooth the states before the fit (default: both are tried if they are noisy)")
+    add(
+        "--smoothing",
+        default="",
+        choices=["", "yes", "no"],
+        help="smooth the states before the fit (default: both are tried if they are noisy)",
+    )
     add("--draws", type=int, default=30, help="members of the bootstrap, 0 for no band")
     return parser
 
@@ -106,9 +116,13 @@ def _parameters(options, out, root):
     """The notebook's parameters; obvious mistakes are reported before a kernel starts."""
     for path, what in ((options.recording, "RECORDING"), (options.roles, "ROLES")):
         if path is not None and not path.is_file():
-            raise ParameterError(f"{what}: {path} {'is a folder' if path.is_dir() else 'does not exist'}; give the path of a file.")
+            raise ParameterError(
+                f"{what}: {path} {'is a folder' if path.is_dir() else 'does not exist'}; give the path of a file."
+            )
     if options.recording.suffix not in SUFFIXES:
-        raise ParameterError(f"RECORDING: {options.recording} ends in {options.recording.suffix!r}; recordings are .csv, .parquet, .mat or .nc files.")
+        raise ParameterError(
+            f"RECORDING: {options.recording} ends in {options.recording.suffix!r}; recordings are .csv, .parquet, .mat or .nc files."
+        )
     if out.exists() and not out.is_dir():
         raise ParameterError(f"OUT: {out} is a file; give a folder.")
     parameters = {

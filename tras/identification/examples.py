@@ -42,8 +42,15 @@ def cart_pole(point):
 # Vector field, units of states and input, sampling time (s), highest frequency (rad/s) and peak of the input, noise.
 SYSTEMS = {
     "duffing": (duffing, {"q": "m", "qdot": "m/s"}, {"force": "N"}, 0.05, 3.0, 2.5, (0.001, 0.004)),
-    "cart_pole": (cart_pole, {"position": "m", "velocity": "m/s", "theta": "rad", "thetadot": "rad/s"}, {"force": "N"},
-        0.02, 6.0, 5.0, (0.001, 0.01, 0.002, 0.02)),
+    "cart_pole": (
+        cart_pole,
+        {"position": "m", "velocity": "m/s", "theta": "rad", "thetadot": "rad/s"},
+        {"force": "N"},
+        0.02,
+        6.0,
+        5.0,
+        (0.001, 0.01, 0.002, 0.02),
+    ),
 }
 
 
@@ -77,19 +84,31 @@ def example(name, trials=8, duration=25.0, *, seed=0, noise=1.0):
     field, states, inputs, dt, fastest, peak, deviations = SYSTEMS[name]
     rng = np.random.default_rng(seed)
     u = np.stack([multisine(duration, dt, [fastest], [peak], rng, draws=20) for _ in range(trials)])
-    x = rollout.roll_out(lambda z, v: rollout.runge_kutta(field, z, v, dt, _SUBSTEPS), np.zeros((len(states), trials)), u.transpose(1, 2, 0))
+    x = rollout.roll_out(
+        lambda z, v: rollout.runge_kutta(field, z, v, dt, _SUBSTEPS),
+        np.zeros((len(states), trials)),
+        u.transpose(1, 2, 0),
+    )
     x = x.transpose(2, 0, 1)
     if noise:
         x = x + noise * np.array(deviations) * rng.standard_normal(x.shape)
         step = noise * deviations[0] / 2
         x[..., 0] = np.round(x[..., 0] / step) * step
-    labels = {"state_names": list(states), "state_units": list(states.values()), "input_names": list(inputs), "input_units": list(inputs.values())}
+    labels = {
+        "state_names": list(states),
+        "state_units": list(states.values()),
+        "input_names": list(inputs),
+        "input_units": list(inputs.values()),
+    }
     return Recording(x, u, dt, **labels, attributes={"system": name, "seed": seed})
 
 
 def write_log(recording, path):
     """Write a CSV as a logger would: names with units in brackets, a column that counts the trials, six digits."""
-    units = dict(zip((*recording.state_names, *recording.input_names), (*recording.state_units, *recording.input_units)), time="s")
+    units = dict(
+        zip((*recording.state_names, *recording.input_names), (*recording.state_units, *recording.input_units)),
+        time="s",
+    )
     table = recording.to_frame().rename(columns={"trajectory": "trial"})
     table = table.rename(columns={name: f"{name} [{unit}]" for name, unit in units.items() if unit})
     with replacing(path) as temporary:
@@ -98,7 +117,9 @@ def write_log(recording, path):
 
 def main(arguments=None):
     """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m tras.identification.examples", description="Write a recording to try make identify on.")
+    parser = argparse.ArgumentParser(
+        prog="python -m tras.identification.examples", description="Write a recording to try make identify on."
+    )
     parser.add_argument("system", choices=sorted(SYSTEMS))
     parser.add_argument("path", type=Path, help="where the CSV goes")
     options = parser.parse_args(arguments)

@@ -74,9 +74,24 @@ def prediction_figure(table, states, units):
     states, units : list of str
         At most six states are shown.
     """
-    require(table, "table", ["window", "time", *(f"{state}: {kind}" for state in states for kind in ("true", "model", "linear model", "lower", "upper"))])
+    require(
+        table,
+        "table",
+        [
+            "window",
+            "time",
+            *(f"{state}: {kind}" for state in states for kind in ("true", "model", "linear model", "lower", "upper")),
+        ],
+    )
     states, windows = states[:MOST], list(dict.fromkeys(table["window"]))
-    figure, axes = new_figure(height=1.0 * len(states) + 0.75, rows=len(states), columns=len(windows), sharey="row", sharex="col", squeeze=False)
+    figure, axes = new_figure(
+        height=1.0 * len(states) + 0.75,
+        rows=len(states),
+        columns=len(windows),
+        sharey="row",
+        sharex="col",
+        squeeze=False,
+    )
     for row, state, label in zip(axes, states, _with_units(states, units)):
         for panel, name in zip(row, windows):
             part = table[table["window"] == name]
@@ -84,9 +99,16 @@ def prediction_figure(table, states, units):
             reach = 1.5 * max(true.max() - true.min(), 1e-300)
             inside = (true.min() - reach, true.max() + reach)
             if low.notna().any():
-                panel.fill_between(part["time"], low.clip(*inside), high.clip(*inside), **_BAND, label="90 % of a bootstrap")
+                panel.fill_between(
+                    part["time"], low.clip(*inside), high.clip(*inside), **_BAND, label="90 % of a bootstrap"
+                )
             panel.plot(part["time"], true, **TRUTH, label="measured", zorder=3)
-            panel.plot(part["time"], part[f"{state}: model"].where(part[f"{state}: model"].between(*inside)), **MODEL, label="model")
+            panel.plot(
+                part["time"],
+                part[f"{state}: model"].where(part[f"{state}: model"].between(*inside)),
+                **MODEL,
+                label="model",
+            )
             linear = part[f"{state}: linear model"]
             panel.plot(part["time"], linear.where(linear.between(*inside)), **LINEAR, label="linear model")
         row[0].set_ylabel(label)

@@ -38,7 +38,9 @@ def open_log(path="", *, roles=None, states=None, inputs=None, time="", trial=""
     if not path:
         return example("duffing")
     if Path(path).suffix == ".nc":
-        return Recording.read(path, roles or None, dt=dt or None, resample=resample or None).select(states=states or None, inputs=inputs or None)
+        return Recording.read(path, roles or None, dt=dt or None, resample=resample or None).select(
+            states=states or None, inputs=inputs or None
+        )
     by_name = {"states": states, "inputs": inputs, "time": time, "trial": trial}
     by_name = {role: columns for role, columns in by_name.items() if columns}
     if roles and by_name:
@@ -87,7 +89,9 @@ def _write_all(identification, log, name, stage):
     pictures = _figures(identification, stage / "figures")
     tables = _tables(identification)
     for key, (_, table) in tables.items():
-        table.to_csv(stage / "tables" / f"{key}.csv", index=key == "correlation", float_format="%.10g", lineterminator="\n")
+        table.to_csv(
+            stage / "tables" / f"{key}.csv", index=key == "correlation", float_format="%.10g", lineterminator="\n"
+        )
     identification.model.save(stage / "model.npz")
     exports, failures = _exports(identification, stage)
     contents = [
@@ -129,9 +133,15 @@ def _figures(identification, folder):
     spectra, predictions = identification.checks.spectrum, identification.overlay
     drawings = {"data": (figures_identify.data_figure, (_curves(recording), names, units))}
     if len(spectra):
-        drawings["spectra"] = (figures_identify.spectra_figure, (spectra, list(recording.state_names), list(recording.input_names)))
+        drawings["spectra"] = (
+            figures_identify.spectra_figure,
+            (spectra, list(recording.state_names), list(recording.input_names)),
+        )
     drawings |= {
-        "predictions": (figures_identify.prediction_figure, (predictions, list(model.state_names_), list(model.state_units_))),
+        "predictions": (
+            figures_identify.prediction_figure,
+            (predictions, list(model.state_names_), list(model.state_units_)),
+        ),
         "growth": (figures_identify.growth_figure, (identification.growth,)),
         "spectrum": (figures_identify.eigenvalue_figure, (identification.eigenvalues,)),
     }
@@ -164,7 +174,9 @@ def _exports(identification, stage):
 
     def text_and_latex():
         if len(model.names_) > _READABLE:
-            raise ValueError(f"{len(model.names_)} functions are too many to read; tras.export.formulas(model) writes them all the same.")
+            raise ValueError(
+                f"{len(model.names_)} functions are too many to read; tras.export.formulas(model) writes them all the same."
+            )
         paths = [folder / "formulas.txt", folder / "formulas.tex"]
         for path, latex in zip(paths, (False, True)):
             path.write_text(formulas(model, identification.train, tolerance=0.01, latex=latex) + "\n", encoding="utf-8")

@@ -151,7 +151,13 @@ def _overlay(runs, truth, starts, model, ensemble, latest):
         true, (lower, _, upper) = truth.states[k][latest:], [edge[j][model.delays :] for edge in band]
         table = {"window": name, "time": np.arange(len(true)) * truth.dt}
         for i, state in enumerate(truth.state_names):
-            columns = (("true", true), (CHOSEN, runs[CHOSEN][k]), (LINEAR, runs[LINEAR][k]), ("lower", lower), ("upper", upper))
+            columns = (
+                ("true", true),
+                (CHOSEN, runs[CHOSEN][k]),
+                (LINEAR, runs[LINEAR][k]),
+                ("lower", lower),
+                ("upper", upper),
+            )
             table |= {f"{state}: {kind}": values[:, i] for kind, values in columns}
         tables.append(pd.DataFrame(table))
     return pd.concat(tables, ignore_index=True)
@@ -164,6 +170,12 @@ def _eigenvalues(model, linear):
         values = fitted.eigenvalues
         with np.errstate(divide="ignore"):
             logarithm = np.log(values.astype(complex)) / fitted.dt_
-        columns = {"real": values.real, "imag": values.imag, "modulus": np.abs(values), "rate": logarithm.real, "frequency": logarithm.imag / (2 * np.pi)}
+        columns = {
+            "real": values.real,
+            "imag": values.imag,
+            "modulus": np.abs(values),
+            "rate": logarithm.real,
+            "frequency": logarithm.imag / (2 * np.pi),
+        }
         tables.append(pd.DataFrame({"model": name, **columns}))
     return pd.concat(tables, ignore_index=True)

@@ -38,11 +38,15 @@ def add_noise(recording, level, rng):
     recording = join(recording)
     fraction = np.asarray(level, dtype=float)
     if fraction.shape not in ((), (recording.n,)) or not (np.isfinite(fraction).all() and (fraction >= 0).all()):
-        raise ValueError(f"level is {level!r}; give a fraction of the range, 0 or more (0.01 is 1 %), or {recording.n} of them.")
+        raise ValueError(
+            f"level is {level!r}; give a fraction of the range, 0 or more (0.01 is 1 %), or {recording.n} of them."
+        )
     arguments.seed("rng", rng, "the noise")
     rng = np.random.default_rng(rng)
     sigma = fraction * np.ptp(np.concatenate([x for x, _ in recording]), axis=0)
-    return recording.with_data([x + sigma * rng.standard_normal(x.shape) for x, _ in recording], [u for _, u in recording])
+    return recording.with_data(
+        [x + sigma * rng.standard_normal(x.shape) for x, _ in recording], [u for _, u in recording]
+    )
 
 
 def noise_level(recording):
@@ -59,6 +63,8 @@ def noise_level(recording):
     """
     recording = join(recording)
     if recording.lengths.max() < 4:
-        raise ValueError(f"the longest trajectory has {recording.lengths.max()} samples; noise can be told from four or more.")
+        raise ValueError(
+            f"the longest trajectory has {recording.lengths.max()} samples; noise can be told from four or more."
+        )
     third = np.concatenate([np.diff(x, n=3, axis=0) for x, _ in recording if len(x) > 3])
     return np.sqrt(np.mean(third**2, axis=0) / 20)

@@ -12,7 +12,11 @@ from tras.io.formats import remarks
 from tras.io.limits import one_line
 from tras.workflow import page
 
-_WEIGHTS = {"stop": ("✗", "not", "do not use it so"), "warning": ("!", "named", "warning"), "note": ("i", "uncheckable", "note")}
+_WEIGHTS = {
+    "stop": ("✗", "not", "do not use it so"),
+    "warning": ("!", "named", "warning"),
+    "note": ("i", "uncheckable", "note"),
+}
 _ROWS = 40  # of a table on the page; the files have all
 
 
@@ -52,22 +56,34 @@ def write_page(identification, log, name, figures, exports, failures, formulas="
     put("## In short", text(advice.verdict(identification)), _chosen(identification), _advice(identification))
     sentences = [_list(remarks(log)), _list(step_remarks["pairs"])]
     put("## The recording", text(_size(identification)), *sentences, _channels(identification))
-    caption = "The recording, trajectories one behind the other (grey lines where one begins). " + _shown(identification)
+    caption = "The recording, trajectories one behind the other (grey lines where one begins). " + _shown(
+        identification
+    )
     parts.append(picture("data", "All channels over time", caption))
     parts.append(convert("### Excitation"))
     parts.append(text(_excitation(identification)) + _correlation(identification))
     caption = "Where in frequency the channels move, by Welch's method: share of variance per Hz. Means are taken away."
     parts.append(picture("spectra", "Spectra of inputs and states", caption))
     sentences = [*step_remarks["partition"], *step_remarks["search"]]
-    put("## How the model was chosen", text(_search_text(identification)), _list(sentences), _candidates(identification))
+    put(
+        "## How the model was chosen", text(_search_text(identification)), _list(sentences), _candidates(identification)
+    )
     put("## How well it predicts", text(_test_text(identification)), _metrics(identification))
-    parts.append(picture("predictions", "Measured and predicted states over two test windows", _prediction_caption(identification)))
-    caption = ("Root mean square error of all states over the test windows, each in percent of the state's range, "
-        "against how far ahead is predicted.")
+    parts.append(
+        picture(
+            "predictions", "Measured and predicted states over two test windows", _prediction_caption(identification)
+        )
+    )
+    caption = (
+        "Root mean square error of all states over the test windows, each in percent of the state's range, "
+        "against how far ahead is predicted."
+    )
     parts.append(picture("growth", "Error against time ahead", caption))
     put("## The operator", f"<pre>{page.escape(summary.describe(identification.model))}</pre>\n", _formulas(formulas))
-    caption = ("Eigenvalues of the Koopman matrices and the unit circle; on the right the neighbourhood of one. "
-        "One exactly belongs to the constant and to functions of inputs alone, which are held over a sample.")
+    caption = (
+        "Eigenvalues of the Koopman matrices and the unit circle; on the right the neighbourhood of one. "
+        "One exactly belongs to the constant and to functions of inputs alone, which are held over a sample."
+    )
     parts.append(picture("spectrum", "Eigenvalues with the unit circle", caption))
     put("## Files", _files(exports), _list(failures), _use(identification))
     return page.frame(f"Identification of {name}", "".join(parts), contents)
@@ -105,7 +121,9 @@ def _advice(identification):
 
 def _size(identification):
     facts = identification.checks.facts
-    lengths = f"{facts['longest']}" if facts["shortest"] == facts["longest"] else f"{facts['shortest']} to {facts['longest']}"
+    lengths = (
+        f"{facts['longest']}" if facts["shortest"] == facts["longest"] else f"{facts['shortest']} to {facts['longest']}"
+    )
     trajectories = "1 trajectory" if facts["trajectories"] == 1 else f"{facts['trajectories']} trajectories"
     amount = f"{facts['samples']} samples, {facts['pairs']} snapshot pairs, {facts['seconds']:.4g} s in all"
     return f"{trajectories} of {lengths} samples at {facts['dt']:.6g} s: {amount}."
@@ -121,11 +139,34 @@ def _channels(identification):
     for _, row in identification.checks.channels.iterrows():
         limit = 100 * max(row["at_lowest"], row["at_highest"])
         level = f"{100 * row['noise']:.2g}" if np.isfinite(row["noise"]) else "–"
-        cells = [row["channel"], row["role"], row["unit"] or "–", *(f"{row[key]:.4g}" for key in ("lowest", "highest", "mean", "deviation"))]
-        rows.append([page.escape(cell) for cell in (*cells, f"{row['step']:.3g}" if row["step"] else "–", f"{limit:.2g}", level)])
-    head = ["channel", "role", "unit", "lowest", "highest", "mean", "deviation", "step", "at a limit (%)", "noise (% of range)"]
-    caption = ("Channels: deviation is the standard deviation, step the usual distance between neighbouring values "
-        "if they are few, noise what moves within four samples.")
+        cells = [
+            row["channel"],
+            row["role"],
+            row["unit"] or "–",
+            *(f"{row[key]:.4g}" for key in ("lowest", "highest", "mean", "deviation")),
+        ]
+        rows.append(
+            [
+                page.escape(cell)
+                for cell in (*cells, f"{row['step']:.3g}" if row["step"] else "–", f"{limit:.2g}", level)
+            ]
+        )
+    head = [
+        "channel",
+        "role",
+        "unit",
+        "lowest",
+        "highest",
+        "mean",
+        "deviation",
+        "step",
+        "at a limit (%)",
+        "noise (% of range)",
+    ]
+    caption = (
+        "Channels: deviation is the standard deviation, step the usual distance between neighbouring values "
+        "if they are few, noise what moves within four samples."
+    )
     return page.table(head, rows, caption)
 
 
@@ -135,10 +176,14 @@ def _excitation(identification):
     sentences = [f"Constant, states and inputs, each scaled to its range: {rank}, {condition}."]
     if facts["order"] is not None:
         more = " or more" if facts["order"] == 20 else ""
-        sentences.append(f"The inputs are persistently exciting of order {facts['order']}{more}, lags of {facts['lag'] * facts['dt']:.3g} s.")
+        sentences.append(
+            f"The inputs are persistently exciting of order {facts['order']}{more}, lags of {facts['lag'] * facts['dt']:.3g} s."
+        )
     if facts["feedback"]:
         shares = ", ".join(f"{100 * share:.3g} % of {name}" for name, share in facts["feedback"].items())
-        sentences.append(f"A linear function of the present states explains {shares} (nearly all of it would mean feedback).")
+        sentences.append(
+            f"A linear function of the present states explains {shares} (nearly all of it would mean feedback)."
+        )
     return " ".join(sentences)
 
 
@@ -164,7 +209,13 @@ def _candidates(identification):
     table = identification.search.sort_values("error", kind="stable").head(_ROWS)
     rows = []
     for _, row in table.iterrows():
-        mark = "<strong>chosen</strong>" if row["chosen"] else page.escape(one_line(row["failure"])[:160]) if row["failure"] else ""
+        mark = (
+            "<strong>chosen</strong>"
+            if row["chosen"]
+            else page.escape(one_line(row["failure"])[:160])
+            if row["failure"]
+            else ""
+        )
         error = f"{row['error']:.4g}" if math.isfinite(row["error"]) else "–"
         functions = f"{row['functions']:.0f}" if math.isfinite(row["functions"]) else "–"
         strength = f"{row['strength']:g}" if math.isfinite(row["strength"]) else "–"
@@ -192,7 +243,14 @@ def _metrics(identification):
     for _, row in table.iterrows():
         values = [row["one_step"], row["nrmse"], row["bfr"], row["enr"]]
         shown = [f"{value:.{digits}g}" if np.isfinite(value) else "–" for value, digits in zip(values, (3, 3, 4, 3))]
-        rows.append([page.escape(row["state"]), page.escape(row["prediction"]), *shown, f"{row['diverged']} of {row['windows']}"])
+        rows.append(
+            [
+                page.escape(row["state"]),
+                page.escape(row["prediction"]),
+                *shown,
+                f"{row['diverged']} of {row['windows']}",
+            ]
+        )
     head = ["state", "prediction", "one-step NRMSE (%)", "NRMSE (%)", "BFR (%)", "Enr", "diverged"]
     return page.table(head, rows, "Test.", keys=2)
 
@@ -223,7 +281,9 @@ def _use(identification):
     model, names = identification.model, ", ".join(identification.recording.state_names)
     first = f"log.states[0][: {model.delays + 1}]" if model.delays else "log.states[0][0]"
     recording = identification.recording
-    imports, inputs = ("import tras", "log.inputs[0]") if recording.m else ("import numpy\nimport tras", "numpy.empty((500, 0))")
+    imports, inputs = (
+        ("import tras", "log.inputs[0]") if recording.m else ("import numpy\nimport tras", "numpy.empty((500, 0))")
+    )
     code = f'{imports}\n\nmodel = tras.load_model("model.npz")\nstates = model.simulate({first}, {inputs})  # log: a tras.Recording of {names}'
     return f"<pre>{page.escape(code)}</pre>\n"
 

@@ -110,7 +110,9 @@ def without_idle_channels(recording):
             basis = np.hstack([basis, (rest / np.linalg.norm(rest))[:, None]])
     states = [name for name in recording.state_names if name in active]
     if not states:
-        raise ValueError(f"no state moves: {'; '.join(remarks)}. Give others as states, or record while something happens.")
+        raise ValueError(
+            f"no state moves: {'; '.join(remarks)}. Give others as states, or record while something happens."
+        )
     return recording.select(states=states, inputs=[name for name in recording.input_names if name in active]), remarks
 
 
@@ -218,7 +220,9 @@ def partition(recording):
     rest = [(x, u) for (x, u), (length, end) in zip(recording, ends) if length - end < 10]
     first = [(x[: end + 1], u[: end + 1]) for x, u, end in parts] + rest
     last = [(x[end:], u[end:]) for x, u, end in parts]
-    remark = "the last fifth of " + ("the recording" if len(recording) == 1 else "each trajectory") + " is kept for the test"
+    remark = (
+        "the last fifth of " + ("the recording" if len(recording) == 1 else "each trajectory") + " is kept for the test"
+    )
     train, test = (recording.with_data(*map(list, zip(*part))) for part in (first, last))
     return train, test, remark
 

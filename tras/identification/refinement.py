@@ -57,7 +57,9 @@ def refine(model, recording, rows=None, iterations=6, segment=None):
         a segment.
     """
     if getattr(model, "predictor", None) != "vector_field" or not hasattr(model, "W_"):
-        raise ValueError("refine needs a model with a vector field; fit KoopmanModel(..., predictor='vector_field') first.")
+        raise ValueError(
+            "refine needs a model with a vector field; fit KoopmanModel(..., predictor='vector_field') first."
+        )
     arguments.whole_number("iterations", iterations)
     arguments.whole_number("segment", _SEGMENTS[0] if segment is None else segment, 2)
     recording = model.channels_.matched(recording)
@@ -71,7 +73,9 @@ def refine(model, recording, rows=None, iterations=6, segment=None):
         if costs[0] <= 4 * shooting.numbers:
             break
     if not np.isfinite(costs[0]):
-        raise ValueError(f"the model's predictions diverge within {samples} samples; give a shorter segment, or a model that does not.")
+        raise ValueError(
+            f"the model's predictions diverge within {samples} samples; give a shorter segment, or a model that does not."
+        )
     for _ in tqdm(range(iterations), desc="refine", leave=False, disable=None):
         W, starts, cost, damping = _descend(shooting, W, starts, costs[-1], damping)
         costs.append(cost)
@@ -112,7 +116,11 @@ class _Shooting:
         self.dictionary, self.rows, self.N = model.dictionary_, rows, model.W_.shape[1]
         self.substeps, self.h = model.substeps_, model.dt_ / model.substeps_
         self.weight = model.x_scale_ / np.maximum(noise_level(recording), _TRUST * model.x_scale_)
-        pieces = [(x[k : k + segment], u[k : k + segment]) for x, u in model.channels_.scaled(recording) for k in range(0, len(x) - 1, segment)]
+        pieces = [
+            (x[k : k + segment], u[k : k + segment])
+            for x, u in model.channels_.scaled(recording)
+            for k in range(0, len(x) - 1, segment)
+        ]
         self.blocks = []  # [states (samples, n, segments), inputs (samples, m, segments)]
         for _, group in itertools.groupby(sorted(pieces, key=_length), key=_length):
             segments = list(group)
@@ -150,7 +158,9 @@ class _Shooting:
 
     def _normal_equations(self, W, z, states, inputs):
         n, count, p = *z.shape, len(self.rows) * self.N
-        S = np.concatenate([np.zeros((count, n, p)), np.broadcast_to(np.eye(n), (count, n, n))], axis=2)  # dz / d(W[rows], start)
+        S = np.concatenate(
+            [np.zeros((count, n, p)), np.broadcast_to(np.eye(n), (count, n, n))], axis=2
+        )  # dz / d(W[rows], start)
         Hww, Hwx, Hxx, gw, gx = (np.zeros(shape) for shape in ((p, p), (count, p, n), (count, n, n), p, (count, n)))
         for k, x in enumerate(states):
             if k:
@@ -184,7 +194,9 @@ class _Shooting:
             psi.append(self.dictionary.lift(point))
             k.append(W @ psi[-1])
             if slopes:
-                F.append((W @ self.dictionary.lift_slopes(point).reshape(self.N, -1)).reshape(n, n, -1).transpose(2, 0, 1))
+                F.append(
+                    (W @ self.dictionary.lift_slopes(point).reshape(self.N, -1)).reshape(n, n, -1).transpose(2, 0, 1)
+                )
         onward = z + h / 6 * (k[0] + 2 * (k[1] + k[2]) + k[3])
         if not slopes:
             return onward, None
@@ -195,7 +207,10 @@ class _Shooting:
         M1 = h / 6 * one + h / 2 * M2 @ F[1]
         M = M1, M2, M3, M4
         by_W = sum(np.einsum("bir,jb->birj", Mi[:, :, self.rows], q) for Mi, q in zip(M, psi))
-        return onward, (one + sum(Mi @ Fi for Mi, Fi in zip(M, F)), by_W.reshape(*F[0].shape[:2], len(self.rows) * self.N))
+        return onward, (
+            one + sum(Mi @ Fi for Mi, Fi in zip(M, F)),
+            by_W.reshape(*F[0].shape[:2], len(self.rows) * self.N),
+        )
 
 
 def _length(piece):
@@ -237,5 +252,7 @@ def _solve(blocks, damping):
         g = g - np.einsum("bpi,bi->p", Hwx @ inverse, gx)
     size = np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
     step = linalg.cho_solve(linalg.cho_factor(H / np.outer(size, size)), g / size) / size if len(g) else g
-    moves = [(inverse @ (gx - step @ Hwx)[:, :, None])[:, :, 0].T for inverse, (_, Hwx, _, _, gx) in zip(inverses, blocks)]
+    moves = [
+        (inverse @ (gx - step @ Hwx)[:, :, None])[:, :, 0].T for inverse, (_, Hwx, _, _, gx) in zip(inverses, blocks)
+    ]
     return step, moves

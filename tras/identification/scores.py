@@ -35,7 +35,10 @@ def compare(models, truth, train, latest):
     true = [x[latest:] for x, _ in truth]
     mean = np.concatenate([x for x, _ in train]).mean(axis=0)
     runs = {name: roll_outs(model, starts, latest) for name, (model, starts) in models.items()}
-    runs |= {HELD: [np.repeat(x[:1], len(x), axis=0) for x in true], CONSTANT: [np.repeat(mean[None], len(x), axis=0) for x in true]}
+    runs |= {
+        HELD: [np.repeat(x[:1], len(x), axis=0) for x in true],
+        CONSTANT: [np.repeat(mean[None], len(x), axis=0) for x in true],
+    }
     parts = []
     for name, run in runs.items():
         scores = metrics.judge(true, run)
@@ -80,7 +83,11 @@ def _full(truth, latest):
 def _one_step(model, starts, truth):
     """NRMSE (%) of predictions over one sample."""
     count = model.delays + 2
-    cut = [(s[k : k + count], u[k : k + count], x[k + count - 1]) for (s, u), (x, _) in zip(starts, truth) for k in range(0, len(s) - count + 1, count - 1)]
+    cut = [
+        (s[k : k + count], u[k : k + count], x[k + count - 1])
+        for (s, u), (x, _) in zip(starts, truth)
+        for k in range(0, len(s) - count + 1, count - 1)
+    ]
     cut = cut[:: max(1, len(cut) // _ONE_STEP)]
     pieces = starts.with_data([s for s, _, _ in cut], [u for _, u, _ in cut])
     with np.errstate(over="ignore", invalid="ignore"):

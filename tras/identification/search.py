@@ -81,7 +81,9 @@ def choose(recording, models=None):
     recording = join(recording)
     models = candidates(recording) if models is None else list(models)
     if not models:
-        raise ValueError("models holds no candidate; give one or more, for example [tras.KoopmanModel(tras.Monomials(2))].")
+        raise ValueError(
+            "models holds no candidate; give one or more, for example [tras.KoopmanModel(tras.Monomials(2))]."
+        )
     train, held = hold_out(recording)
     if held is None:
         raise ValueError(

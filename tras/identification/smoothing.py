@@ -43,7 +43,9 @@ def smooth(recording, pairs=None):
     recording = join(recording)
     groups = _groups(recording.state_names, pairs)
     if recording.lengths.max() < _FEWEST:
-        raise ValueError(f"the longest trajectory has {recording.lengths.max()} samples; smoothing needs {_FEWEST} or more.")
+        raise ValueError(
+            f"the longest trajectory has {recording.lengths.max()} samples; smoothing needs {_FEWEST} or more."
+        )
     sigma, whole = noise_level(recording), np.concatenate([x for x, _ in recording])
     middle, half_range = (whole.max(axis=0) + whole.min(axis=0)) / 2, np.ptp(whole, axis=0) / 2
     smoothed = [x.copy() for x, _ in recording]
@@ -55,7 +57,9 @@ def smooth(recording, pairs=None):
         scale, offset = half_range[first] / recording.dt**powers, np.where(powers == 0, middle[first], 0.0)
         deviation = np.maximum(sigma[group], _LEAST * half_range[group]) / scale
         measured = [(x[:, group] - offset) / scale for x, _ in recording]
-        _, order, intensity = min(_likeliest(measured, deviation, order) for order in ((2, 3) if len(group) == 1 else (3,)))
+        _, order, intensity = min(
+            _likeliest(measured, deviation, order) for order in ((2, 3) if len(group) == 1 else (3,))
+        )
         for into, values in zip(smoothed, _smooth(measured, deviation, order, intensity)):
             into[:, group] = values * scale + offset
     return recording.with_data(smoothed, [u for _, u in recording])
@@ -66,7 +70,9 @@ def _groups(names, pairs):
     groups = []
     for pair in pairs or ():
         if isinstance(pair, str) or len(pair) != 2:
-            raise ValueError(f"pairs holds {pair!r}; give pairs of names (position, velocity), for example [('phi', 'phidot')].")
+            raise ValueError(
+                f"pairs holds {pair!r}; give pairs of names (position, velocity), for example [('phi', 'phidot')]."
+            )
         for name in pair:
             if name not in names:
                 raise ValueError(f"pairs: there is no state {name!r}; there are {', '.join(names)}.")

@@ -53,7 +53,9 @@ def read(path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=s
         raise FileNotFoundError(f"{path} does not exist; `make all` makes the project's own recordings.")
     if path.suffix == ".nc":
         if roles is not None or dt is not None or resample is not None:
-            raise RecordingError(f"{path}: a .nc file has its own roles and sampling time; leave roles, dt and resample out.")
+            raise RecordingError(
+                f"{path}: a .nc file has its own roles and sampling time; leave roles, dt and resample out."
+            )
         content, expected = netcdf.content(path)
         header = _header(content["dt"], {key: content[key] for key in _LABELS}, content["attributes"])
         if expected is not None and checksum(header, zip(content["states"], content["inputs"])) != expected:
@@ -106,7 +108,9 @@ def remarks(recording):
 
 def checksum(header, trajectories):
     """SHA-256 of the header (without its own checksum) and all numbers."""
-    total = hashlib.sha256(json.dumps({key: value for key, value in header.items() if key != "checksum"}, sort_keys=True).encode())
+    total = hashlib.sha256(
+        json.dumps({key: value for key, value in header.items() if key != "checksum"}, sort_keys=True).encode()
+    )
     for x, u in trajectories:
         for array in (x, u):
             total.update(repr(array.shape).encode())
@@ -118,7 +122,9 @@ def known(path):
     """``path`` if its suffix is one of ours."""
     path = Path(path)
     if path.suffix not in SUFFIXES:
-        raise RecordingError(f"path {path} ends in {path.suffix!r}; recordings are NetCDF-4 (.nc), .csv, .parquet or MATLAB's .mat files.")
+        raise RecordingError(
+            f"path {path} ends in {path.suffix!r}; recordings are NetCDF-4 (.nc), .csv, .parquet or MATLAB's .mat files."
+        )
     return path
 
 
@@ -141,8 +147,15 @@ def _checked(header):
     if header.get("format") != FORMAT:
         raise RecordingError(f"its format is {str(header.get('format'))[:40]!r}, this release reads {FORMAT!r}.")
     texts = ("states", "state_units", "inputs", "input_units")
-    sound = all(isinstance(header.get(key), list) and all(isinstance(text, str) for text in header[key]) for key in texts)
-    sound = sound and isinstance(header.get("dt"), float) and 0 < header["dt"] < math.inf and isinstance(header.get("attributes"), dict)
+    sound = all(
+        isinstance(header.get(key), list) and all(isinstance(text, str) for text in header[key]) for key in texts
+    )
+    sound = (
+        sound
+        and isinstance(header.get("dt"), float)
+        and 0 < header["dt"] < math.inf
+        and isinstance(header.get("attributes"), dict)
+    )
     if not sound:
         raise RecordingError("its own description of channels and sampling time is damaged; read it with roles.")
     return header
@@ -155,11 +168,23 @@ def _own(source, resample, missing, tolerance):
     if "time" in source.names:
         given |= {"time": "time", "trial": "trajectory"}
     chosen, _ = assign(source.names, given, {})
-    x, u, dt, remarks = sampling.trajectories(source.read(chosen), chosen, source.locate, resample=resample, missing=missing, tolerance=tolerance)
+    x, u, dt, remarks = sampling.trajectories(
+        source.read(chosen), chosen, source.locate, resample=resample, missing=missing, tolerance=tolerance
+    )
     attributes = dict(header["attributes"])
     if resample is None and "checksum" in header and checksum(header, zip(x, u)) != header["checksum"]:
-        raise RecordingError("its numbers do not fit its checksum: it was damaged, or changed by another program; read it with roles if you trust it.")
+        raise RecordingError(
+            "its numbers do not fit its checksum: it was damaged, or changed by another program; read it with roles if you trust it."
+        )
     if resample is not None or any("missing" in remark for remark in remarks):
         attributes["noticed"] = remarks
     labels = {key: header[key] for key in ("state_units", "input_units")}
-    return {"states": x, "inputs": u, "dt": dt, "state_names": header["states"], "input_names": header["inputs"], **labels, "attributes": attributes}
+    return {
+        "states": x,
+        "inputs": u,
+        "dt": dt,
+        "state_names": header["states"],
+        "input_names": header["inputs"],
+        **labels,
+        "attributes": attributes,
+    }

@@ -98,7 +98,9 @@ class _Reader:
         flags = struct.unpack(self.endian + "II", flags)[0]
         number = flags & 0xFF
         if number == 17:
-            raise RecordingError(f"it holds {_OPAQUE}, which is not read; save its numbers, such as ts.Time and ts.Data.")
+            raise RecordingError(
+                f"it holds {_OPAQUE}, which is not read; save its numbers, such as ts.Time and ts.Data."
+            )
         dims, position = self.numbers(body, position)
         name, position = self.text(body, position)
         if number in _REFUSED or flags & 0x0800:

@@ -22,7 +22,16 @@ def read_variables(path):
     except RecordingError:
         raise
     # HDF5 reports damage by all of these.
-    except (OSError, KeyError, RuntimeError, TypeError, ValueError, AttributeError, OverflowError, MemoryError) as error:
+    except (
+        OSError,
+        KeyError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        OverflowError,
+        MemoryError,
+    ) as error:
         raise RecordingError(f"it is damaged ({one_line(error)}).") from error
 
 
@@ -64,7 +73,9 @@ def _is_array_of_structs(item):
 
 def _dataset(item, kind, name, depth, budget):
     if item.is_virtual or item.external:
-        raise RecordingError(f"the numbers of {name!r} lie in another file, which is not opened; save them in this one.")
+        raise RecordingError(
+            f"the numbers of {name!r} lie in another file, which is not opened; save them in this one."
+        )
     if item.attrs.get("MATLAB_empty", 0):
         return [] if kind == "cell" else "" if kind == "char" else np.empty((0, 0))
     if h5py.check_ref_dtype(item.dtype):
@@ -72,7 +83,9 @@ def _dataset(item, kind, name, depth, budget):
     if item.dtype.names:
         raise RecordingError(f"variable {name!r} holds complex or compound numbers; save real and imaginary part.")
     if item.dtype.kind not in "biuf" or (kind and kind not in (*_NUMERIC, "char")):
-        raise RecordingError(f"variable {name!r} is of class {kind or item.dtype}, which is not read; save its numbers.")
+        raise RecordingError(
+            f"variable {name!r} is of class {kind or item.dtype}, which is not read; save its numbers."
+        )
     budget["values"] += item.size
     if budget["values"] > MAX_VALUES:
         raise RecordingError(f"it has more than {MAX_VALUES} values.")

@@ -16,9 +16,16 @@ def to_xarray(recording, attributes):
     frame = recording.to_frame()
     variables = {
         "time": ("sample", frame["time"].to_numpy(), {"units": "s", "long_name": "time since the trajectory's start"}),
-        "row_size": ("trajectory", recording.lengths, {"sample_dimension": "sample", "long_name": "samples of each trajectory"}),
+        "row_size": (
+            "trajectory",
+            recording.lengths,
+            {"sample_dimension": "sample", "long_name": "samples of each trajectory"},
+        ),
     }
-    roles = (("state", recording.state_names, recording.state_units), ("input", recording.input_names, recording.input_units))
+    roles = (
+        ("state", recording.state_names, recording.state_units),
+        ("input", recording.input_names, recording.input_units),
+    )
     for role, names, units in roles:
         for position, (name, unit) in enumerate(zip(names, units)):
             variables[name] = ("sample", frame[name].to_numpy(), {"units": unit, "role": role, "position": position})
@@ -74,7 +81,11 @@ def _content(dataset):
         parts[f"{role}s"] = np.split(table, ends[:-1])
         parts[f"{role}_names"] = names
         parts[f"{role}_units"] = [dataset[name].attrs["units"] for name in names]
-    content = {**parts, "dt": float(dataset.attrs["sampling_time"]), "attributes": json.loads(dataset.attrs["attributes"])}
+    content = {
+        **parts,
+        "dt": float(dataset.attrs["sampling_time"]),
+        "attributes": json.loads(dataset.attrs["attributes"]),
+    }
     return content, dataset.attrs.get("checksum")  # files of earlier releases have none
 
 

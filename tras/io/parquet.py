@@ -60,7 +60,16 @@ def _damage():
     """Turn the library's errors into one sentence."""
     try:
         yield
-    except (OSError, ValueError, TypeError, KeyError, NotImplementedError, MemoryError, RecursionError, pyarrow.ArrowException) as error:
+    except (
+        OSError,
+        ValueError,
+        TypeError,
+        KeyError,
+        NotImplementedError,
+        MemoryError,
+        RecursionError,
+        pyarrow.ArrowException,
+    ) as error:
         raise RecordingError(f"it is damaged, or of a kind that is not read ({one_line(error)}).") from error
 
 
@@ -78,7 +87,13 @@ def _column(column, name, roles):
         values = np.array(numbers.fill_null(0), dtype=np.int64)
         first = values[valid][0] if valid.any() else 0
         return np.where(valid, (values - first) / ticks, np.nan)
-    if not (types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind) or types.is_boolean(kind) or types.is_null(kind)):
+    if not (
+        types.is_integer(kind)
+        or types.is_floating(kind)
+        or types.is_decimal(kind)
+        or types.is_boolean(kind)
+        or types.is_null(kind)
+    ):
         raise RecordingError(f"column {name!r} holds {kind}, not numbers; leave it out of the roles.")
     if types.is_boolean(kind):
         column = column.cast(pyarrow.int8())

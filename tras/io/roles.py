@@ -106,7 +106,7 @@ def assign(names, roles, units, dt=None):
 
 
 def guess_role(name):
-    """"time", "trial", "states" or "inputs" if ``name`` says so plainly, else None.
+    """ "time", "trial", "states" or "inputs" if ``name`` says so plainly, else None.
 
     Examples
     --------
@@ -168,7 +168,14 @@ def _read(roles):
         elif key == "units" and not (isinstance(value, dict) and _texts([*value, *value.values()])):
             raise RecordingError(f"roles: units is {value!r}; give name: unit for each.")
         elif key == "dt":
-            arguments.number("roles: dt", value, 0, ends=False, give="the sampling time in s, a positive number", error=RecordingError)
+            arguments.number(
+                "roles: dt",
+                value,
+                0,
+                ends=False,
+                give="the sampling time in s, a positive number",
+                error=RecordingError,
+            )
     return spec
 
 

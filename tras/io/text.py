@@ -24,7 +24,9 @@ _IN_BRACKETS = re.compile(r"(.*?\S)\s*[\[(]([^\[\]()]*)[\])]\s*")
 def open_table(path):
     """The `Source` of a text table. Numbers are read once the roles are known, so columns of comments do no harm."""
     if path.stat().st_size > MAX_TEXT:
-        raise RecordingError(f"it has {path.stat().st_size} bytes, text is read up to {MAX_TEXT}; write .parquet instead, or cut it.")
+        raise RecordingError(
+            f"it has {path.stat().st_size} bytes, text is read up to {MAX_TEXT}; write .parquet instead, or cut it."
+        )
     text = _decode(path.read_bytes())
     header, names, separator, start = _header(text)
     rows, lines = _rows(text, separator, start)
@@ -41,7 +43,9 @@ def open_table(path):
     columns = dict(zip(names, zip(*rows)))
 
     def read(roles):
-        comma = _decimal_comma([columns[name] for name in (*roles.states, *roles.inputs, roles.time) if name is not None], separator)
+        comma = _decimal_comma(
+            [columns[name] for name in (*roles.states, *roles.inputs, roles.time) if name is not None], separator
+        )
         table = {name: _numbers(name, columns[name], lines, comma) for name in (*roles.states, *roles.inputs)}
         if roles.trial is not None and roles.trial != roles.time:
             table[roles.trial] = np.array([cell.strip() for cell in columns[roles.trial]])
@@ -70,10 +74,14 @@ def _decode(content):
         text = content.decode(encoding)
     except UnicodeDecodeError as error:
         if encoding != "utf-8" or b"\0" in content:
-            raise RecordingError(f"it is no text (byte {error.start} is not {encoding}); export it as CSV, UTF-8.") from error
+            raise RecordingError(
+                f"it is no text (byte {error.start} is not {encoding}); export it as CSV, UTF-8."
+            ) from error
         text = content.decode("cp1252", errors="replace")  # spreadsheets in western Europe: a degree sign, a Greek mu
     if "\0" in text:
-        raise RecordingError(f"it is no text: there is a zero byte near line {text.count(chr(10), 0, text.index(chr(0))) + 1}; export it as CSV.")
+        raise RecordingError(
+            f"it is no text: there is a zero byte near line {text.count(chr(10), 0, text.index(chr(0))) + 1}; export it as CSV."
+        )
     return text
 
 
@@ -84,7 +92,9 @@ def _header(text):
         try:
             header = json.loads(first.removeprefix(_MARK))
         except (ValueError, RecursionError) as error:
-            raise RecordingError(f"line 1: its JSON is damaged ({error}); delete the line to read the table as any other.") from error
+            raise RecordingError(
+                f"line 1: its JSON is damaged ({error}); delete the line to read the table as any other."
+            ) from error
         if not isinstance(header, dict):
             raise RecordingError("line 1: its JSON is no mapping; delete the line to read the table as any other.")
         return header, [], ",", 1
@@ -102,7 +112,9 @@ def _header(text):
     if shown and all(_is_number(cell) for cell in shown):  # numpy.savetxt puts the names into a comment
         names = [cell.strip() for cell in (_cells(comment, separator) if separator else comment.split())]
         if len(names) != len(shown):
-            raise RecordingError(f"line {start + 1}: there are numbers but no names above them; write a line with the {len(shown)} names of the columns.")
+            raise RecordingError(
+                f"line {start + 1}: there are numbers but no names above them; write a line with the {len(shown)} names of the columns."
+            )
         return None, names, separator, start
     return None, [], separator, start
 
@@ -130,14 +142,20 @@ def _rows(text, separator, start):
     """Rows that are neither blank nor comments, and the line on which each one ends."""
     lines = itertools.islice(io.StringIO(text, newline=""), start, None)
     rows, numbers = [], []
-    reader = csv.reader(lines, delimiter=" ", skipinitialspace=True) if separator is None else csv.reader(lines, delimiter=separator, strict=True)
+    reader = (
+        csv.reader(lines, delimiter=" ", skipinitialspace=True)
+        if separator is None
+        else csv.reader(lines, delimiter=separator, strict=True)
+    )
     try:
         for row in reader:
             if any(row) and not (row[0].lstrip()[:1] in ("#", "%") and rows):
                 rows.append([cell for cell in row if cell] if separator is None else row)
                 numbers.append(start + reader.line_num)
     except csv.Error as error:
-        raise RecordingError(f"line {start + reader.line_num}: {error}; look for a quotation mark that is not closed, or a line without end.") from error
+        raise RecordingError(
+            f"line {start + reader.line_num}: {error}; look for a quotation mark that is not closed, or a line without end."
+        ) from error
     return rows, numbers
 
 
@@ -149,7 +167,11 @@ def _even(rows, lines, names, separator):
             row = row[:width]
         if len(row) != width:
             doubled = separator == "," and len(row) >= 2 * width - 1
-            advice = "is the comma the decimal sign too? Export with ';' between cells" if doubled else "repair the line, or see whether the file is whole"
+            advice = (
+                "is the comma the decimal sign too? Export with ';' between cells"
+                if doubled
+                else "repair the line, or see whether the file is whole"
+            )
             raise RecordingError(f"line {line}: it has {len(row)} cells but the header has {width}; {advice}.")
         even.append(row)
     return even, lines
@@ -159,7 +181,10 @@ def _names_and_units(cells, rows, lines):
     """Names, and units from brackets after them or from a separate row below them."""
     names, units = [], {}
     matches = [_IN_BRACKETS.fullmatch(cell.strip()) for cell in cells]
-    bare = [match[1].strip() if match and not match[2].strip().isdigit() else cell.strip() for cell, match in zip(cells, matches)]
+    bare = [
+        match[1].strip() if match and not match[2].strip().isdigit() else cell.strip()
+        for cell, match in zip(cells, matches)
+    ]
     for i, (cell, name, match) in enumerate(zip(cells, bare, matches)):
         if bare.count(name) > 1:
             name = cell.strip()
@@ -170,7 +195,9 @@ def _names_and_units(cells, rows, lines):
         if names.count(name) > 1:
             raise RecordingError(f"the header has the name {name!r} twice; rename one.")
     below = [cell.strip() for cell in rows[0]] if len(rows) > 1 else []
-    if any(below) and not any(_is_number(cell) or _is_date(cell) or cell.lower() in _MISSING - {"", "-", "--"} for cell in below):
+    if any(below) and not any(
+        _is_number(cell) or _is_date(cell) or cell.lower() in _MISSING - {"", "-", "--"} for cell in below
+    ):
         if sum(map(_is_number, map(str.strip, rows[1]))) * 2 >= len(names):  # else it is a table of text
             units |= {name: cell.strip("[]() ") for name, cell in zip(names, below) if cell.strip("[]() -")}
             del rows[0], lines[0]
@@ -219,7 +246,9 @@ def _cell(name, cell, line, comma):
         return float(cell.replace(",", ".") if comma else cell)
     except ValueError:
         why = " where others have a decimal comma" if comma and "." in cell else ""
-        raise RecordingError(f"line {line}, column {name!r}: {cell[:40]!r} is no number{why}; repair it, leave it empty, or leave the column out by roles.") from None
+        raise RecordingError(
+            f"line {line}, column {name!r}: {cell[:40]!r} is no number{why}; repair it, leave it empty, or leave the column out by roles."
+        ) from None
 
 
 def _times(name, cells, lines, comma):
@@ -231,7 +260,13 @@ def _times(name, cells, lines, comma):
     for cell, line in zip(cells, lines):
         try:
             missing = cell.strip().lower() in _MISSING
-            times.append(np.nan if missing else (datetime.datetime.fromisoformat(cell.strip()) - origin) / datetime.timedelta(seconds=1))
+            times.append(
+                np.nan
+                if missing
+                else (datetime.datetime.fromisoformat(cell.strip()) - origin) / datetime.timedelta(seconds=1)
+            )
         except (ValueError, TypeError):
-            raise RecordingError(f"line {line}, column {name!r}: {cell[:40]!r} is no time as {first!r} is; repair it.") from None
+            raise RecordingError(
+                f"line {line}, column {name!r}: {cell[:40]!r} is no time as {first!r} is; repair it."
+            ) from None
     return np.array(times)

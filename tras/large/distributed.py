@@ -44,7 +44,9 @@ def absorb(fit, stream, held, length, chunk, scheduler=None, parts=None, bar=Non
     vars(fit).update(vars(copy.copy(empty)))
     borders = [k * len(groups) // parts for k in range(parts + 1)]
     shares = [groups[a:b] for a, b in itertools.pairwise(borders)]
-    results = executors.run(absorb_part, [(share,) for share in shares], (empty, stream, held, length), scheduler=scheduler, ordered=True)
+    results = executors.run(
+        absorb_part, [(share,) for share in shares], (empty, stream, held, length), scheduler=scheduler, ordered=True
+    )
     for k, result in results:
         if isinstance(result, executors.Lost):
             raise SchedulerError(f"part {k} of {parts} was lost: {result.reason}; use a smaller chunk.")

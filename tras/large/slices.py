@@ -46,7 +46,11 @@ class _Lazy:
         if self.lengths.sum() != sizes["sample"]:
             raise ValueError(f"row_size sums to {self.lengths.sum()} but there are {sizes['sample']} samples")
         for role in ("state", "input"):
-            variables = [(int(v.attrs["position"]), name, v.attrs["units"]) for name, v in source.variables.items() if v.attrs.get("role") == role]
+            variables = [
+                (int(v.attrs["position"]), name, v.attrs["units"])
+                for name, v in source.variables.items()
+                if v.attrs.get("role") == role
+            ]
             variables.sort()
             setattr(self, f"{role}_names", tuple(name for _, name, _ in variables))
             setattr(self, f"{role}_units", tuple(unit for _, _, unit in variables))
@@ -75,7 +79,9 @@ class _Lazy:
     def nothing(self):
         """A `Recording` with these labels and one sample of zeros."""
         labels = {label: getattr(self, label) for label in ("state_names", "state_units", "input_names", "input_units")}
-        return Recording(np.zeros((1, 1, len(self.state_names))), np.zeros((1, 1, len(self.input_names))), self.dt, **labels)
+        return Recording(
+            np.zeros((1, 1, len(self.state_names))), np.zeros((1, 1, len(self.input_names))), self.dt, **labels
+        )
 
     def pieces(self, size, shared=1, first=0, last=None):
         """Every `Piece` of at most ``size`` pairs, in order; or only those of the numbers ``first`` to ``last - 1``.
@@ -89,7 +95,9 @@ class _Lazy:
         with self._channels() as channels:
             for i, a, b in itertools.islice(spans(self.lengths, size, shared), first, last):
                 both = (self.state_names, self.input_names)
-                yield Piece(*(self._read(channels, names, starts[i], i, a, b) for names in both), b - a - shared)  # and keep nothing of it
+                yield Piece(
+                    *(self._read(channels, names, starts[i], i, a, b) for names in both), b - a - shared
+                )  # and keep nothing of it
 
     def _read(self, channels, names, start, i, first, last):
         values = np.empty((last - first, len(names)))
@@ -133,14 +141,20 @@ class RecordingFile(_Lazy):
     def __init__(self, path):
         self.path = Path(path)
         if self.path.suffix != ".nc":
-            raise ValueError(f"{self.path} ends in {self.path.suffix!r}; only .nc files are read piece by piece: write one with Recording.write.")
+            raise ValueError(
+                f"{self.path} ends in {self.path.suffix!r}; only .nc files are read piece by piece: write one with Recording.write."
+            )
         if not self.path.is_file():
-            raise FileNotFoundError(f"{self.path} does not exist; give the path of a file that Recording.write has written.")
+            raise FileNotFoundError(
+                f"{self.path} does not exist; give the path of a file that Recording.write has written."
+            )
         try:
             with h5netcdf.File(self.path, "r") as file:
                 self._describe(file, {name: dimension.size for name, dimension in file.dimensions.items()})
         except (OSError, KeyError, AttributeError, TypeError, ValueError, RuntimeError) as error:
-            raise ValueError(f"{self.path} cannot be read as a recording ({error}); make it again with Recording.write.") from error
+            raise ValueError(
+                f"{self.path} cannot be read as a recording ({error}); make it again with Recording.write."
+            ) from error
 
     @property
     def name(self):
@@ -181,9 +195,13 @@ class RecordingDataset(_Lazy):
             self._describe(dataset, dataset.sizes)
             for name in (*self.state_names, *self.input_names):
                 if dataset[name].dims != ("sample",) or dataset[name].dtype.kind not in "fiu":
-                    raise ValueError(f"{name!r} is {dataset[name].dtype} along {', '.join(dataset[name].dims)}, not numbers along sample")
+                    raise ValueError(
+                        f"{name!r} is {dataset[name].dtype} along {', '.join(dataset[name].dims)}, not numbers along sample"
+                    )
         except (KeyError, AttributeError, TypeError, ValueError) as error:
-            raise ValueError(f"the dataset cannot be read as a recording ({error}); open a file that Recording.write has written.") from error
+            raise ValueError(
+                f"the dataset cannot be read as a recording ({error}); open a file that Recording.write has written."
+            ) from error
 
     @contextlib.contextmanager
     def _channels(self):
@@ -194,14 +212,18 @@ class _Slices(NamedTuple):
     variable: object
 
     def __getitem__(self, samples):
-        return self.variable[samples].compute(scheduler="synchronous").to_numpy()  # a worker's other threads are not its own
+        return (
+            self.variable[samples].compute(scheduler="synchronous").to_numpy()
+        )  # a worker's other threads are not its own
 
 
 def spans(lengths, size, shared):
     """(trajectory, first sample, last sample + 1) of every piece."""
     for i, length in enumerate(lengths):
         if length < shared:
-            raise ValueError(f"trajectory {i} has {length} samples, too few for {shared - 1} delays; leave it out or use fewer delays.")
+            raise ValueError(
+                f"trajectory {i} has {length} samples, too few for {shared - 1} delays; leave it out or use fewer delays."
+            )
         for first in range(0, max(int(length) - shared, 1), size):
             yield i, first, int(min(first + size + shared, length))
 
@@ -264,7 +286,9 @@ class Stream:
         for recording in self.recordings():
             count = sum(1 for _ in spans(recording.lengths, self.size, self.shared)) if first or last is not None else 0
             if first < count or not count:
-                read = functools.partial(_in_memory, recording) if isinstance(recording, Recording) else recording.pieces
+                read = (
+                    functools.partial(_in_memory, recording) if isinstance(recording, Recording) else recording.pieces
+                )
                 yield from read(self.size, self.shared, first, last)
             first, last = max(0, first - count), None if last is None else last - count
             if last is not None and last <= 0:
@@ -272,7 +296,11 @@ class Stream:
 
     def counts(self):
         """Pairs of each piece; nothing is read."""
-        return [b - a - self.shared for recording in self.recordings() for _, a, b in spans(recording.lengths, self.size, self.shared)]
+        return [
+            b - a - self.shared
+            for recording in self.recordings()
+            for _, a, b in spans(recording.lengths, self.size, self.shared)
+        ]
 
     def opened(self):
         """The same stream, of files that are open to be read anywhere and of recordings."""
@@ -283,10 +311,20 @@ class Stream:
     def recordings(self):
         """Each recording, file or dataset in turn, all with the same channels."""
         source = self.source() if callable(self.source) else self.source
-        for k, item in enumerate([source] if isinstance(source, (str, Path, *_READABLE)) or is_dataset(source) else source):
-            recording = RecordingFile(item) if isinstance(item, (str, Path)) else RecordingDataset(item) if is_dataset(item) else item
+        for k, item in enumerate(
+            [source] if isinstance(source, (str, Path, *_READABLE)) or is_dataset(source) else source
+        ):
+            recording = (
+                RecordingFile(item)
+                if isinstance(item, (str, Path))
+                else RecordingDataset(item)
+                if is_dataset(item)
+                else item
+            )
             if not isinstance(recording, _READABLE):
-                raise ValueError(f"recording {k} is {type(item).__name__}; give a tras.Recording, the path of a file or an xarray.Dataset.")
+                raise ValueError(
+                    f"recording {k} is {type(item).__name__}; give a tras.Recording, the path of a file or an xarray.Dataset."
+                )
             if self.template is None:
                 self.template = recording[:1] if isinstance(recording, Recording) else recording.nothing()
             require_alike(self.template, recording, k)

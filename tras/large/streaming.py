@@ -37,7 +37,19 @@ def needed(source):
     return hasattr(source, "__iter__") and not isinstance(source, Recording) and not hasattr(source, "__array__")
 
 
-def absorb(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=None, every=60.0, scheduler=None, parts=None, threads=None):
+def absorb(
+    model,
+    source,
+    *,
+    ranges=None,
+    checkpoint=None,
+    chunk=None,
+    progress=None,
+    every=60.0,
+    scheduler=None,
+    parts=None,
+    threads=None,
+):
     """Read data of any size into a `Fit`; `KoopmanModel.fit` calls this and solves it.
 
     A `Recording`, or a list of them, is fitted in memory unless a ``chunk`` is given; so are other data that are smaller than a chunk.
@@ -106,7 +118,9 @@ def absorb(model, source, *, ranges=None, checkpoint=None, chunk=None, progress=
         whole = stream.recording(head)
         return more(Fit.begin(model, whole, checked(ranges, whole)), whole, threads)
     if model.field == "least_squares" and model.predictor == "vector_field":
-        raise ValueError("field is 'least_squares', which needs all data in memory at once; use field='coordinates', or fewer data.")
+        raise ValueError(
+            "field is 'least_squares', which needs all data in memory at once; use field='coordinates', or fewer data."
+        )
     if saved:
         survey = _Survey.restored(saved, stream, checkpoint)
     else:
@@ -164,7 +178,13 @@ class _Survey(NamedTuple):
         held = {}
         for number, start in arrays["where"].tolist():
             held.setdefault(number, []).append(start)
-        return cls(ranges, header["total"], stream.template.with_data(list(arrays["states"]), list(arrays["inputs"])), held, int(arrays["length"]))
+        return cls(
+            ranges,
+            header["total"],
+            stream.template.with_data(list(arrays["states"]), list(arrays["inputs"])),
+            held,
+            int(arrays["length"]),
+        )
 
 
 def _survey(stream, head, rest, ranges, alone, progress):
@@ -236,7 +256,9 @@ def _absorb(fit, pieces, held, survey, stream, log, bar, threads):
             fit.absorb(_scaled(fit, stream, group), threads)
     except UnreadableError as error:
         if log.rescue():
-            raise UnreadableError(f"{error} What was fitted so far is kept in {log.path}: repair, and fit again to go on.") from error
+            raise UnreadableError(
+                f"{error} What was fitted so far is kept in {log.path}: repair, and fit again to go on."
+            ) from error
         raise
     except BaseException:  # also when interrupted from the keyboard
         log.rescue()
@@ -253,7 +275,12 @@ class _Log:
         if saved:
             header, _, state = saved
             fit.restore(state)
-            self.done, self.crc, self.finished, self.stored = header["done"], header["crc"], header["finished"], header["done"]
+            self.done, self.crc, self.finished, self.stored = (
+                header["done"],
+                header["crc"],
+                header["finished"],
+                header["done"],
+            )
         self.read, self.written = 0, time.monotonic()
 
     def knows(self, number, piece):
@@ -272,7 +299,9 @@ class _Log:
         if count < self.done:
             raise self._other("there are fewer of them now")
         if self.survey.pairs not in (None, pairs):
-            raise ValueError(f"recording gave {self.survey.pairs} snapshot pairs when it was read first, and {pairs} now; it has to give the same each time.")
+            raise ValueError(
+                f"recording gave {self.survey.pairs} snapshot pairs when it was read first, and {pairs} now; it has to give the same each time."
+            )
 
     @contextlib.contextmanager
     def chunk_until(self, number, last=False):
@@ -297,7 +326,14 @@ class _Log:
         return Path(self.path).exists()
 
     def _write(self):
-        header = {"labels": self.labels, "total": self.survey.pairs, "chunk": self.chunk, "done": self.done, "crc": self.crc, "finished": self.finished}
+        header = {
+            "labels": self.labels,
+            "total": self.survey.pairs,
+            "chunk": self.chunk,
+            "done": self.done,
+            "crc": self.crc,
+            "finished": self.finished,
+        }
         store.write(self.path, self.model, self.fit.state(), header, self.survey.arrays())
         self.written, self.stored = time.monotonic(), self.done
 
@@ -328,13 +364,17 @@ def _head(pieces, pairs):
         if count >= pairs:
             break
     if not head:
-        raise ValueError("recording is empty; give a tras.Recording, the path of a file, an xarray.Dataset, or some of them.")
+        raise ValueError(
+            "recording is empty; give a tras.Recording, the path of a file, an xarray.Dataset, or some of them."
+        )
     return head
 
 
 def _require_shareable(source, checkpoint, scheduler, parts):
     if hasattr(source, "__next__") or callable(source):
-        raise ValueError("recording is an iterator or a callable, which workers cannot share; give paths of files, datasets, or recordings.")
+        raise ValueError(
+            "recording is an iterator or a callable, which workers cannot share; give paths of files, datasets, or recordings."
+        )
     if checkpoint is not None:
         raise ValueError("checkpoint is for a fit by one process; leave it out, or leave out scheduler and parts.")
     if parts is not None and whole_number("parts", parts) < 1:
@@ -343,7 +383,9 @@ def _require_shareable(source, checkpoint, scheduler, parts):
 
 
 def _bar(what, pairs, progress):
-    return tqdm(total=pairs, desc=what, unit=" pairs", unit_scale=True, disable=None if progress is None else not progress)
+    return tqdm(
+        total=pairs, desc=what, unit=" pairs", unit_scale=True, disable=None if progress is None else not progress
+    )
 
 
 def _drained(head, rest):

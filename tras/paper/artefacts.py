@@ -127,9 +127,13 @@ def committed(artefact, checksum):
         command = ["git", "show", f"HEAD:./{artefact.as_posix()}"]
         content = subprocess.run(command, capture_output=True, check=True).stdout
     except (OSError, subprocess.CalledProcessError):
-        raise FileNotFoundError(f"git has no {artefact} to compare with: clone the repository, or commit the file") from None
+        raise FileNotFoundError(
+            f"git has no {artefact} to compare with: clone the repository, or commit the file"
+        ) from None
     if hashlib.sha256(content).hexdigest() != checksum:
-        raise FileNotFoundError(f"git has another {artefact} than the reference names: commit it together with the reference")
+        raise FileNotFoundError(
+            f"git has another {artefact} than the reference names: commit it together with the reference"
+        )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / artefact.name
         path.write_bytes(content)
@@ -150,10 +154,15 @@ def _write_thinned(columns, copy):
     """Write some of the rows: their numbers beside the columns, or one line per number where lengths differ."""
     import numpy as np
 
-    selection = {name: np.unique(np.linspace(0, len(values) - 1, ROWS).round().astype(int)) for name, values in columns.items()}
+    selection = {
+        name: np.unique(np.linspace(0, len(values) - 1, ROWS).round().astype(int)) for name, values in columns.items()
+    }
     if len({len(values) for values in columns.values()}) == 1:
         rows = next(iter(selection.values()))
-        lines = [("#row", *columns), *zip(rows, *([text(v) for v in values[rows].tolist()] for values in columns.values()))]
+        lines = [
+            ("#row", *columns),
+            *zip(rows, *([text(v) for v in values[rows].tolist()] for values in columns.values())),
+        ]
     else:
         lines = [("#array", "#row", "#value")]
         lines += [(name, row, text(values[row].item())) for name, values in columns.items() for row in selection[name]]
@@ -170,7 +179,10 @@ def read_copy(path):
             grouped = collections.defaultdict(list)
             for name, row, value in lines:
                 grouped[name].append((int(row), value))
-            return {name: ([row for row, _ in pairs], _typed([value for _, value in pairs])) for name, pairs in grouped.items()}
+            return {
+                name: ([row for row, _ in pairs], _typed([value for _, value in pairs]))
+                for name, pairs in grouped.items()
+            }
         columns = _read_csv(path)
         rows = columns.pop("#row", None)
         return {name: (rows, values) for name, values in columns.items()}

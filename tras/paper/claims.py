@@ -14,7 +14,19 @@ from tras.workflow import files
 REPRODUCED, NAMED, NOT, UNCHECKABLE = VERDICTS = (
     "reproduced", "reproduced only under a named reading", "not reproduced", "not checkable",
 )  # fmt: skip
-COLUMNS = ("claim", "statement", "verdict", "quantity", "value", "low", "high", "reading", "evidence", "figure", "command")
+COLUMNS = (
+    "claim",
+    "statement",
+    "verdict",
+    "quantity",
+    "value",
+    "low",
+    "high",
+    "reading",
+    "evidence",
+    "figure",
+    "command",
+)
 WIDER, LOW_ENR, HIGH_BFR, BETTER = 1.1, 0.1, 90.0, 0.95
 OWN, LINEAR, BOUND = "Koopman, the paper's", ("DMDc", "N4SID"), "grey box"  # methods of 07_comparison
 PAPERS_OWN = {"input": "reference", "model": "gaussian"}  # the default reading, in the tables of 02 and 03
@@ -42,13 +54,37 @@ def evaluate(tables, models):
     rows = [
         {"claim": "C1", "statement": "yaw NRMSE is 4.0589 %", **nrmse(tables["readings"], "yaw")},
         {"claim": "C2", "statement": "pitch NRMSE is 5.5889 %", **nrmse(tables["readings"], "pitch")},
-        {"claim": "C3", "statement": "the error to norm ratio is low across operating conditions", **across(tables["metrics"], "enr")},
+        {
+            "claim": "C3",
+            "statement": "the error to norm ratio is low across operating conditions",
+            **across(tables["metrics"], "enr"),
+        },
         {"claim": "C4", "statement": "the best fit ratio is high", **across(tables["metrics"], "bfr")},
-        {"claim": "C5", "statement": "superior to conventional linear models", **against_linear(tables["readings"], tables["comparison"])},
-        {"claim": "C6", "statement": "contrasted with many other nonlinear identification methods", **other_methods(tables["comparison"])},
-        {"claim": "C7", "statement": "simulations start from real conditions without iterative adjustment", **starts(tables["metrics"])},
-        {"claim": "C8", "statement": "with too few data the logarithm fails, more data mend it", **few_data(tables["length"])},
-        {"claim": "C9", "statement": "cost grows with the dimension, a fitting basis mitigates it", **cost(tables["readings"], tables["metrics"])},
+        {
+            "claim": "C5",
+            "statement": "superior to conventional linear models",
+            **against_linear(tables["readings"], tables["comparison"]),
+        },
+        {
+            "claim": "C6",
+            "statement": "contrasted with many other nonlinear identification methods",
+            **other_methods(tables["comparison"]),
+        },
+        {
+            "claim": "C7",
+            "statement": "simulations start from real conditions without iterative adjustment",
+            **starts(tables["metrics"]),
+        },
+        {
+            "claim": "C8",
+            "statement": "with too few data the logarithm fails, more data mend it",
+            **few_data(tables["length"]),
+        },
+        {
+            "claim": "C9",
+            "statement": "cost grows with the dimension, a fitting basis mitigates it",
+            **cost(tables["readings"], tables["metrics"]),
+        },
         {"claim": "C10", "statement": "it lays the ground for control", **control(models)},
     ]
     return pd.DataFrame(rows)[list(COLUMNS)]
@@ -66,14 +102,26 @@ def nrmse(grid, angle):
     ours = default.iloc[0] if len(default) else None
     verdict = REPRODUCED if ours is not None and _meets(default, angle).iloc[0] else NAMED if named else NOT
     nearest = met.iloc[0] if named else best
-    readings_that = f"{len(met)} of {len(every)} readings meet both numbers at once" if named else f"none of {len(every)} readings meets both numbers at once"
+    readings_that = (
+        f"{len(met)} of {len(every)} readings meet both numbers at once"
+        if named
+        else f"none of {len(every)} readings meets both numbers at once"
+    )
     evidence = (
         f"default reading {_range(ours, angle)}; {readings_that}; the nearest ({_name(nearest)}) has yaw {_range(nearest, 'yaw')}, "
         f"pitch {_range(nearest, 'pitch')}, distance {nearest['distance']:.2f}"
     )
     numbers = [math.nan] * 3 if ours is None else [ours[angle], ours[f"{angle}_lowest"], ours[f"{angle}_highest"]]
     reading = "default" if verdict == REPRODUCED else _name(nearest) if named else ""
-    return _row(verdict, f"NRMSE of {angle}, 6 s windows, default reading (%)", numbers, reading, evidence, "readings_nearest", "make all")
+    return _row(
+        verdict,
+        f"NRMSE of {angle}, 6 s windows, default reading (%)",
+        numbers,
+        reading,
+        evidence,
+        "readings_nearest",
+        "make all",
+    )
 
 
 def _meets(rows, angle):
@@ -93,7 +141,11 @@ def across(metrics, name):
     verdict = REPRODUCED if good.all() else NAMED if good[alike].all() else NOT
     kinds = windows["recording"].str.split().str[0]
     by_kind = "; ".join(
-        f"{kind}: " + ", ".join(f"{angle} {part[name].agg(worst):.3g}" for angle, part in windows[kinds == kind].groupby("angle", sort=False))
+        f"{kind}: "
+        + ", ".join(
+            f"{angle} {part[name].agg(worst):.3g}"
+            for angle, part in windows[kinds == kind].groupby("angle", sort=False)
+        )
         for kind in kinds.unique()
     )
     limits = f"at most {limit:g}" if name == "enr" else f"at least {limit:g} %"
@@ -120,12 +172,22 @@ def against_linear(grid, comparison):
         evidence += f", most of all ({_name(first)}): {first['median']:.3f} ({first['low']:.3f} to {first['high']:.3f})"
     errors = _windows(comparison)
     linear = [name for name in LINEAR if name in errors.index.get_level_values("method")]
-    parts = [f"{name} {_yaw_pitch(errors, name, source)}" for source in ("reference", "torque") for name in (OWN, *linear)]
+    parts = [
+        f"{name} {_yaw_pitch(errors, name, source)}" for source in ("reference", "torque") for name in (OWN, *linear)
+    ]
     half = len(parts) // 2
     evidence += f"; beside linear methods tuned by the same rule, yaw / pitch over 6 s in %, reference: {', '.join(parts[:half])}; torque: {', '.join(parts[half:])}"
     reading = "default" if verdict == REPRODUCED else _name(better.iloc[0]) if len(better) else ""
     numbers = [ours["median"], ours["low"], ours["high"]]
-    return _row(verdict, "NRMSE over the linear model's, the worse angle", numbers, reading, evidence, "readings_effects", "make all")
+    return _row(
+        verdict,
+        "NRMSE over the linear model's, the worse angle",
+        numbers,
+        reading,
+        evidence,
+        "readings_effects",
+        "make all",
+    )
 
 
 def _ratios_to_linear(pairs):
@@ -142,7 +204,9 @@ def _ratios_to_linear(pairs):
     result = groups.agg(median="median", low="min", high="max", missing=lambda r: r.isna().sum()).reset_index()
     result["better"] = (result["median"] <= BETTER) & (result["high"] <= BETTER) & (result["missing"] == 0)
     # The range of free runs is the same twice; one of them counts.
-    return result[(result["horizon"] != "free_run") | (result["nrmse_range"] == "validation_set")].reset_index(drop=True)
+    return result[(result["horizon"] != "free_run") | (result["nrmse_range"] == "validation_set")].reset_index(
+        drop=True
+    )
 
 
 def other_methods(comparison):
@@ -154,7 +218,9 @@ def other_methods(comparison):
         order = np.sqrt(complete["yaw"] * complete["pitch"]).sort_values(kind="stable").index
         rank = f"{list(order).index(OWN) + 1} of {len(part)}" if OWN in order else f"without a place among {len(part)}"
         rest = "" if OWN not in part.index else f" ({_yaw_pitch(errors, OWN, source)})"
-        parts.append(f"{source}: the best is {order[0]} ({_yaw_pitch(errors, order[0], source)}), the paper's dictionary is {rank}{rest}")
+        parts.append(
+            f"{source}: the best is {order[0]} ({_yaw_pitch(errors, order[0], source)}), the paper's dictionary is {rank}{rest}"
+        )
     evidence = (
         "the paper announces the comparison and shows none: no method is named and no number given. Ours, each method tuned by the same rule, yaw / pitch over 6 s in %, "
         f"ranked by the geometric mean, those with lost windows last; {'; '.join(parts)}"
@@ -167,7 +233,9 @@ def _windows(comparison):
     table = comparison[comparison["recording"].str.startswith("multisine")]
     window = sorted(table["horizon"].unique())[-2]  # the longest is the free run
     table = table[table["horizon"] == window]
-    errors = table.pivot_table(index=["method", "input"], columns="angle", values="nrmse", aggfunc="median", dropna=False, sort=False)
+    errors = table.pivot_table(
+        index=["method", "input"], columns="angle", values="nrmse", aggfunc="median", dropna=False, sort=False
+    )
     return errors.assign(lost=table.groupby(["method", "input"])["diverged"].sum())
 
 
@@ -189,7 +257,15 @@ def starts(metrics):
         f"diverged; of {int(free['windows'].sum())} free runs {int(free['diverged'].sum())}. All four states must be measured"
     )
     share = diverged / windows if windows else math.nan
-    return _row(verdict, "share of windows that diverged", [share] * 3, "default" if verdict == REPRODUCED else "", evidence, "fig3_overlay", "make paper")
+    return _row(
+        verdict,
+        "share of windows that diverged",
+        [share] * 3,
+        "default" if verdict == REPRODUCED else "",
+        evidence,
+        "fig3_overlay",
+        "make paper",
+    )
 
 
 def few_data(length):
@@ -204,17 +280,33 @@ def few_data(length):
     for noise, part in plain.groupby("noise"):
         few, many = part[part["ratio"] <= 2], part[part["ratio"] == most]
         fails[noise] = short, long = few["failed"].mean(), many["failed"].mean()
-        by_dictionary = ", ".join(f"{name} {100 * rows['failed'].mean():.0f} %" for name, rows in many.groupby("dictionary", sort=False))
+        by_dictionary = ", ".join(
+            f"{name} {100 * rows['failed'].mean():.0f} %" for name, rows in many.groupby("dictionary", sort=False)
+        )
         parts.append(
             f"at {noise:g} % noise {100 * short:.0f} % of the stretches of at most 2 snapshot pairs a function have no logarithm ({100 * few['dependent'].mean():.0f} % "
             f"because K is singular), of those of {most:g} pairs {100 * long:.0f} % ({by_dictionary})"
         )
     mended = [noise for noise, (short, long) in fails.items() if short > 0.05 and long < short / 2]
     verdict = REPRODUCED if 0 in mended else NAMED if mended else NOT
-    reading = "default" if verdict == REPRODUCED else f"with measurement noise ({', '.join(f'{noise:g} %' for noise in mended)})" if mended else ""
+    reading = (
+        "default"
+        if verdict == REPRODUCED
+        else f"with measurement noise ({', '.join(f'{noise:g} %' for noise in mended)})"
+        if mended
+        else ""
+    )
     first = min(fails)
     numbers = [fails[first][0], fails[first][1], fails[first][0]]
-    return _row(verdict, f"share without a logarithm, short stretches, {first:g} % noise (low: long ones)", numbers, reading, "; ".join(parts), "robustness_length", "make all")
+    return _row(
+        verdict,
+        f"share without a logarithm, short stretches, {first:g} % noise (low: long ones)",
+        numbers,
+        reading,
+        "; ".join(parts),
+        "robustness_length",
+        "make all",
+    )
 
 
 def cost(grid, metrics):
@@ -222,12 +314,24 @@ def cost(grid, metrics):
     from tras.paper import effects
 
     counts = [math.comb(channels + 3, 3) for channels in (6, 8)]
-    alike = {"input": "torque", "frequency_unit": "rad/s", "state": "four_states", "velocity_term": "corrected", "nrmse_range": "validation_set"}
+    alike = {
+        "input": "torque",
+        "frequency_unit": "rad/s",
+        "state": "four_states",
+        "velocity_term": "corrected",
+        "nrmse_range": "validation_set",
+    }
     monomials = _rows(effects.pairs_of_angles(grid), dictionary="monomials3", horizon="window", **alike)
     mechanical = metrics[
-        (metrics["kind"] == "window") & (metrics["model"] == "mechanical") & (metrics["input"] == "torque") & metrics["recording"].str.startswith("multisine")
+        (metrics["kind"] == "window")
+        & (metrics["model"] == "mechanical")
+        & (metrics["input"] == "torque")
+        & metrics["recording"].str.startswith("multisine")
     ]
-    errors = {angle: (monomials[angle].median(), mechanical.loc[mechanical["angle"] == angle, "nrmse"].median()) for angle in ("yaw", "pitch")}
+    errors = {
+        angle: (monomials[angle].median(), mechanical.loc[mechanical["angle"] == angle, "nrmse"].median())
+        for angle in ("yaw", "pitch")
+    }
     gain = min(theirs / ours for theirs, ours in errors.values())
     lost = int(monomials["diverged"].sum() + (~monomials["has_model"]).sum())
     evidence = (
@@ -237,7 +341,15 @@ def cost(grid, metrics):
     )
     verdict = REPRODUCED if gain > 10 and counts[1] > counts[0] else NOT
     quantity = "error of 84 monomials over that of 81 mechanical functions, the smaller of both angles"
-    return _row(verdict, quantity, [gain, math.nan, math.nan], "torque" if verdict == REPRODUCED else "", evidence, "readings_effects", "make all")
+    return _row(
+        verdict,
+        quantity,
+        [gain, math.nan, math.nan],
+        "torque" if verdict == REPRODUCED else "",
+        evidence,
+        "readings_effects",
+        "make all",
+    )
 
 
 def control(models):
@@ -254,12 +366,19 @@ def control(models):
         weight = np.diag([1.0, 0.1, 1.0, 0.1]), np.diag([10.0, 10.0])
         gain = linalg.solve(weight[1], b.T @ linalg.solve_continuous_are(a, b, *weight))
         rates.append(float(np.linalg.eigvals(A - B @ gain).real.max()))
-        parts.append(f"{name}: slowest mode {rates[-1]:.2f} 1/s on the true plant, {np.linalg.eigvals(a - b @ gain).real.max():.2f} by design")
+        parts.append(
+            f"{name}: slowest mode {rates[-1]:.2f} 1/s on the true plant, {np.linalg.eigvals(a - b @ gain).real.max():.2f} by design"
+        )
     open_loop = float(np.linalg.eigvals(A).real.max())
     verdict = REPRODUCED if rates[0] < min(0.0, 2 * open_loop) else NOT
-    evidence = f"state feedback (LQR) designed on the identified vector field, linearised at rest, applied to the true plant ({open_loop:.2f} 1/s without it): " + "; ".join(parts)
+    evidence = (
+        f"state feedback (LQR) designed on the identified vector field, linearised at rest, applied to the true plant ({open_loop:.2f} 1/s without it): "
+        + "; ".join(parts)
+    )
     quantity = "slowest mode of the true plant under feedback from the paper's dictionary (1/s)"
-    return _row(verdict, quantity, [rates[0], min(rates), max(rates)], "torque, linearised at rest", evidence, "", "make all")
+    return _row(
+        verdict, quantity, [rates[0], min(rates), max(rates)], "torque, linearised at rest", evidence, "", "make all"
+    )
 
 
 def _linearised(model, x, u, step=1e-4):

@@ -85,8 +85,12 @@ def jobs(study):
         raise ValueError(f"data_inputs holds {unknown[0]!r}; choose among {', '.join(INPUTS)}.")
     conditions = [{"input": name, "noise": 0.0, "smoothed": False, "fraction": 1.0} for name in INPUTS]
     for name in study.data_inputs:
-        conditions += [{"input": name, "noise": study.noise, "smoothed": smoothed, "fraction": 1.0} for smoothed in (False, True)]
-        conditions += [{"input": name, "noise": 0.0, "smoothed": False, "fraction": fraction} for fraction in study.fractions]
+        conditions += [
+            {"input": name, "noise": study.noise, "smoothed": smoothed, "fraction": 1.0} for smoothed in (False, True)
+        ]
+        conditions += [
+            {"input": name, "noise": 0.0, "smoothed": False, "fraction": fraction} for fraction in study.fractions
+        ]
     found = [{"method": method, **condition} for condition in conditions for method in study.methods]
     return [job for job in found if job["input"] == "torque" or job["method"] not in NEEDS_TORQUES]
 
@@ -148,7 +152,10 @@ def _case(study, job, data, validation):
     fresh = {name: recording.select(inputs=INPUTS[job["input"]]) for name, recording in validation.items()}
     scores = score(study, model, fresh, everything=_is_main(job))
     times = {"tune": tuned - began, "fit": fitted - tuned, "simulate": time.process_time() - fitted}
-    rows = [{"setting": _text(row.model), "error": row.error, "chosen": bool(row.chosen), "failure": row.failure} for row in tried.itertuples()]
+    rows = [
+        {"setting": _text(row.model), "error": row.error, "chosen": bool(row.chosen), "failure": row.failure}
+        for row in tried.itertuples()
+    ]
     return {"scores": scores, "tuning": rows, "times": times, "parameters": n_parameters(model), "failure": ""}
 
 
@@ -180,7 +187,11 @@ def score(study, model, recordings, *, everything=True):
             continue
         windows = recording.cut(round(study.window / recording.dt) + 1)
         predicted, dt = model.predict(windows), recording.dt
-        spans = [(dt, 1, 2), (study.middle, 0, round(study.middle / dt) + 1), (study.window, 0, windows.states.shape[1])]
+        spans = [
+            (dt, 1, 2),
+            (study.middle, 0, round(study.middle / dt) + 1),
+            (study.window, 0, windows.states.shape[1]),
+        ]
         for horizon, first, last in spans if everything else spans[-1:]:
             judged = judge(windows, predicted, samples=slice(first, last))
             rows += [{"recording": name, "horizon": horizon, **row} for row in judged]
@@ -227,7 +238,11 @@ def _text(model):
 
 def _plain(study):
     """The study as JSON holds it, without the list of methods: a job names its own, and its settings."""
-    values = {name: value for name, value in vars(study).items() if name not in ("methods", "fractions", "data_inputs", "noise")}
+    values = {
+        name: value
+        for name, value in vars(study).items()
+        if name not in ("methods", "fractions", "data_inputs", "noise")
+    }
     return values
 
 
@@ -257,11 +272,27 @@ def _tables(wanted, found):
         window = max((row["horizon"] for row in rows if row["windows"] > 1), default=None)
         short = [row for row in rows if row["horizon"] == window and row["recording"].startswith("multisine")]
         about = {"parameters": value["parameters"], "failure": value["failure"]}
-        data += [{**labels, **{name: row[name] for name in ("recording", "angle", "nrmse", "windows", "diverged")}, **about} for row in short]
+        data += [
+            {**labels, **{name: row[name] for name in ("recording", "angle", "nrmse", "windows", "diverged")}, **about}
+            for row in short
+        ]
         if not rows:
-            data += [{**labels, "recording": "", "angle": angle, "nrmse": math.nan, "windows": 0, "diverged": 0, **about} for angle in ANGLES]
+            data += [
+                {**labels, "recording": "", "angle": angle, "nrmse": math.nan, "windows": 0, "diverged": 0, **about}
+                for angle in ANGLES
+            ]
         if _is_main(job):
-            scores += [{"method": job["method"], "input": job["input"], **row, "parameters": value["parameters"]} for row in rows]
-        tuning += [{**labels, **row, "error": math.inf if row["error"] is None else row["error"]} for row in value["tuning"]]
+            scores += [
+                {"method": job["method"], "input": job["input"], **row, "parameters": value["parameters"]}
+                for row in rows
+            ]
+        tuning += [
+            {**labels, **row, "error": math.inf if row["error"] is None else row["error"]} for row in value["tuning"]
+        ]
         times.append({**labels, **value["times"]})
-    return {"scores": pd.DataFrame(scores), "data": pd.DataFrame(data), "tuning": pd.DataFrame(tuning), "times": pd.DataFrame(times)}
+    return {
+        "scores": pd.DataFrame(scores),
+        "data": pd.DataFrame(data),
+        "tuning": pd.DataFrame(tuning),
+        "times": pd.DataFrame(times),
+    }

@@ -51,21 +51,26 @@ def first_power():
     masses = PlantParameters().masses()
 
     def inertia(power, unit):  # in kg m^2, computed with lengths in `unit` metres
-        m_m, l_m, m_t, l_t, m_cw, l_cw, J_x = (masses[name] for name in ("m_m", "l_m", "m_t", "l_t", "m_cw", "l_cw", "J_x"))
+        m_m, l_m, m_t, l_t, m_cw, l_cw, J_x = (
+            masses[name] for name in ("m_m", "l_m", "m_t", "l_t", "m_cw", "l_cw", "J_x")
+        )
         lengths = [length / unit for length in (l_m, l_t, l_cw)]
-        return (m_m * lengths[0] ** 2 + m_t * lengths[1] ** 2 + 2 * m_cw * lengths[2] ** power + J_x / unit**2) * unit**2
+        return (
+            m_m * lengths[0] ** 2 + m_t * lengths[1] ** 2 + 2 * m_cw * lengths[2] ** power + J_x / unit**2
+        ) * unit**2
 
     printed, ours = [[inertia(power, unit) for unit in (1.0, 1e-3)] for power in (1, 2)]
-    text = (
-        f"computed in metres the printed J_φ is {printed[0]:.4g} kg m², computed in millimetres {printed[1]:.4g} kg m²; ours is {ours[0]:.4g} in both"
-    )
+    text = f"computed in metres the printed J_φ is {printed[0]:.4g} kg m², computed in millimetres {printed[1]:.4g} kg m²; ours is {ours[0]:.4g} in both"
     return text, abs(printed[0] / printed[1] - 1) > 0.01 and math.isclose(*ours, rel_tol=1e-12)
 
 
 def names_of_angles():
     """Gravity lifts and lowers pitch; yaw turns about the vertical and feels none."""
     p, at = PlantParameters(), np.zeros(4)
-    slopes = [(PlantParameters.energy(p, at + 1e-6 * e) - PlantParameters.energy(p, at - 1e-6 * e)) / 2e-6 for e in np.eye(4)[[0, 2]]]
+    slopes = [
+        (PlantParameters.energy(p, at + 1e-6 * e) - PlantParameters.energy(p, at - 1e-6 * e)) / 2e-6
+        for e in np.eye(4)[[0, 2]]
+    ]
     text = f"gravity's torque in the level position is {-slopes[0]:.3g} N m on φ and {-slopes[1] + 0.0:.3g} on ψ: φ is the angle that goes up and down"
     return text, abs(slopes[0]) > 1e-2 and abs(slopes[1]) < 1e-9
 
@@ -85,7 +90,9 @@ def best_fit_ratio():
     from tras.metrics import bfr
 
     ours = [float(bfr(x[:, None], (1 - error) * x[:, None])[0]) for error in (0.0, 0.5, 2.0)]
-    text = "a perfect prediction, one half off and one that is twice off have {:.3g}, {:.3g} and {:.3g} % as printed, ".format(*printed)
+    text = "a perfect prediction, one half off and one that is twice off have {:.3g}, {:.3g} and {:.3g} % as printed, ".format(
+        *printed
+    )
     text += "and {:.3g}, {:.3g} and {:.3g} % here".format(*ours)
     return text, printed == sorted(printed) and ours == sorted(ours, reverse=True) and ours[0] == 100
 
@@ -142,17 +149,26 @@ def same_input():
 def samples():
     """Trajectories that share end points."""
     shared = 100 * 501 - 99
-    return f"100 x 501 = {100 * 501} samples are not 50001; 100 pieces that share their end points are: 100 x 501 - 99 = {shared}", shared == 50001
+    return (
+        f"100 x 501 = {100 * 501} samples are not 50001; 100 pieces that share their end points are: 100 x 501 - 99 = {shared}",
+        shared == 50001,
+    )
 
 
 def six_seconds():
     """A window of 6 s does not fit into a trajectory of 501 samples at 0.01 s."""
-    return f"a trajectory of 501 samples at 0.01 s lasts {500 * 0.01:g} s, so a window of 6 s needs {round(6 / 0.01) + 1} samples", 500 * 0.01 < 6
+    return (
+        f"a trajectory of 501 samples at 0.01 s lasts {500 * 0.01:g} s, so a window of 6 s needs {round(6 / 0.01) + 1} samples",
+        500 * 0.01 < 6,
+    )
 
 
 def references():
     """What each of (16) to (18) builds on, by its content."""
-    return "(17) is the finite form of (16), not of (17); the field solves (17), not (18): each number is one too high, counted in another paper", None
+    return (
+        "(17) is the finite form of (16), not of (17); the field solves (17), not (18): each number is one too high, counted in another paper",
+        None,
+    )
 
 
 # What is printed, what stands here, why, and the computation that shows it.

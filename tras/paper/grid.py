@@ -81,12 +81,16 @@ def points(study, only=None):
     kept = {option: readings.choices(option) for option in FIT}
     for option, some in (only or {}).items():
         if option not in kept:
-            raise readings.ReadingError(f"only names {option!r}, which makes no other fit: choose among {', '.join(FIT)}.")
+            raise readings.ReadingError(
+                f"only names {option!r}, which makes no other fit: choose among {', '.join(FIT)}."
+            )
         kept[option] = [getattr(readings.Readings(**{option: choice}), option) for choice in some]
     found = []
     for combination in itertools.product(*kept.values()):
         options = dict(zip(FIT, combination))
-        for seed, draw in itertools.product(study.train_seeds, study.centre_draws if options["dictionary"] in DRAWN else study.centre_draws[:1]):
+        for seed, draw in itertools.product(
+            study.train_seeds, study.centre_draws if options["dictionary"] in DRAWN else study.centre_draws[:1]
+        ):
             found.append({**options, "train_seed": seed, "draw": draw})
     return found
 
@@ -150,18 +154,25 @@ def simulate(study, frequency_unit, velocity_term, seed):
     """One recording of the experiment under two readings, all channels."""
     band = [FREQUENCY[frequency_unit] * f for f in study.max_frequency]
     rng = np.random.default_rng(seed)
-    reference = multisine(study.duration, study.sampling_time, band, study.peak, rng, max_correlation=study.max_correlation)
+    reference = multisine(
+        study.duration, study.sampling_time, band, study.peak, rng, max_correlation=study.max_correlation
+    )
     return simulate_closed_loop(reference, study.sampling_time, PLANTS[velocity_term]())
 
 
 def training(study, recording, point):
     """The part of a recording that a point is fitted to."""
-    return select(recording.cut(round(study.trajectory / recording.dt) + 1).split(study.train_fraction, study.split_seed)[0], point)
+    return select(
+        recording.cut(round(study.trajectory / recording.dt) + 1).split(study.train_fraction, study.split_seed)[0],
+        point,
+    )
 
 
 def fit(point, recording):
     """The model of a point, from `training` data: (KoopmanModel, "model"), or (None, why there is none)."""
-    model = KoopmanModel(dictionary(point["dictionary"], point["draw"]), "vector_field", STATES[point["state"]][1], **readings.PAPER_FIT)
+    model = KoopmanModel(
+        dictionary(point["dictionary"], point["draw"]), "vector_field", STATES[point["state"]][1], **readings.PAPER_FIT
+    )
     try:
         with np.errstate(all="ignore"):  # a fit that fails says so itself
             return model.fit(recording), "model"
@@ -196,9 +207,17 @@ def rows_of(windows, prediction, **labels):
     """NRMSE of predictions of one recording's windows: a row for each range and angle, with these labels."""
     judged = {}
     for name, range_over in RANGES.items():  # of a single window both ranges are the same
-        judged[name] = validation.judge(windows, prediction, range_over=range_over) if len(windows) > 1 or not judged else [*judged.values()][0]
+        judged[name] = (
+            validation.judge(windows, prediction, range_over=range_over)
+            if len(windows) > 1 or not judged
+            else [*judged.values()][0]
+        )
     keys = ("angle", "nrmse", "windows", "diverged")
-    return [{**labels, "nrmse_range": name, **{key: row[key] for key in keys}} for name, rows in judged.items() for row in rows]
+    return [
+        {**labels, "nrmse_range": name, **{key: row[key] for key in keys}}
+        for name, rows in judged.items()
+        for row in rows
+    ]
 
 
 def select(recording, point):

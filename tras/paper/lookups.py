@@ -143,7 +143,11 @@ def table(spec, sources):
     if "rows" in spec:
         across, groups = _summary(rows, spec, name)
         head = [*spec["rows"].values(), *(spec.get("heading", "{}").format(number(value)) for value in across)]
-        return head, [[*map(number, key), *(number(value, formats) for value in values)] for key, values in groups], len(spec["rows"])
+        return (
+            head,
+            [[*map(number, key), *(number(value, formats) for value in values)] for key, values in groups],
+            len(spec["rows"]),
+        )
     rows = rows.head(spec.get("first", len(rows)))
     formats = [formats.get(column, "g") if isinstance(formats, dict) else formats for column in spec["columns"]]
     cells = zip(*(_column(rows, column, name) for column in spec["columns"]))
@@ -159,10 +163,14 @@ def _summary(rows, spec, name):
         _column(rows, column, name)
     groups = list(rows.groupby(list(spec["rows"]), sort=False))
     if "across" not in spec:
-        return list(spec["values"]), [(key, [_total(part, what, name) for what in spec["values"].values()]) for key, part in groups]
+        return list(spec["values"]), [
+            (key, [_total(part, what, name) for what in spec["values"].values()]) for key, part in groups
+        ]
     across = list(dict.fromkeys(rows[spec["across"]]))
     cells = [(key, [part[part[spec["across"]] == value] for value in across]) for key, part in groups]
-    return across, [(key, [_total(cell, spec["value"], name) if len(cell) else None for cell in row]) for key, row in cells]
+    return across, [
+        (key, [_total(cell, spec["value"], name) if len(cell) else None for cell in row]) for key, row in cells
+    ]
 
 
 @functools.lru_cache(maxsize=64)

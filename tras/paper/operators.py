@@ -82,7 +82,9 @@ def eigenfunction_table(model, recording, reach, *, count=2, points=41):
     for rank, (index, row) in enumerate(table.iterrows(), start=1):
         f = values[:, index] / values[-1, index]
         about = {name: row[name] for name in ("rate", "frequency", "relative")}
-        parts.append(pd.DataFrame({"rank": rank, **about, "phi": x[:, 0], "psi": x[:, 2], "real": f.real, "imag": f.imag}))
+        parts.append(
+            pd.DataFrame({"rank": rank, **about, "phi": x[:, 0], "psi": x[:, 2], "real": f.real, "imag": f.imag})
+        )
     return pd.concat(parts, ignore_index=True)
 
 

@@ -55,10 +55,14 @@ def markers(name):
 
 def main(arguments=None):
     """Command line; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m tras.paper.pages", description="Print the tables of README and docs, or write them there.")
+    parser = argparse.ArgumentParser(
+        prog="python -m tras.paper.pages", description="Print the tables of README and docs, or write them there."
+    )
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join(TABLES)}; all of them if none is named")
     parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the data (default: data)")
-    parser.add_argument("--figures", type=Path, default=Path("figures"), help="folder of the figures (default: figures)")
+    parser.add_argument(
+        "--figures", type=Path, default=Path("figures"), help="folder of the figures (default: figures)"
+    )
     parser.add_argument("--pages", type=Path, default=Path(), help="folder of README.md and docs/ (default: this one)")
     parser.add_argument("--write", action="store_true", help="write the tables into the pages, between their markers")
     parser.add_argument("--check", action="store_true", help="say whether the pages hold the tables as they are now")
@@ -68,7 +72,10 @@ def main(arguments=None):
             if name not in TABLES:
                 raise ValueError(f"there is no table {name!r}{did_you_mean(name, TABLES)}")
             page, file, as_markdown, as_text = TABLES[name]
-            page, path = options.pages / page, (options.data if file.startswith("data/") else options.figures) / Path(file).name
+            page, path = (
+                options.pages / page,
+                (options.data if file.startswith("data/") else options.figures) / Path(file).name,
+            )
             if file and not path.is_file():
                 raise ValueError(f"{path} does not exist; `make all` makes it.")
             rows = [tables.read(path)] if file else []

@@ -37,10 +37,18 @@ def parameter_study(cases, samples, draws, *, seed=0, processes=1):
 
 def _intervals(level, model, recording, points, samples, draws, seed, processes):
     def again(resample):
-        return refine(model, resample, iterations=1) if level else clone(model).set_params(strength=model.strength_).fit(resample)
+        return (
+            refine(model, resample, iterations=1)
+            if level
+            else clone(model).set_params(strength=model.strength_).fit(resample)
+        )
 
-    intervals = parameter_intervals(model, recording.cut(samples), draws, seed=seed, pipeline=again, points=points.cut(samples), processes=processes)
+    intervals = parameter_intervals(
+        model, recording.cut(samples), draws, seed=seed, pipeline=again, points=points.cut(samples), processes=processes
+    )
     value, spread = intervals["value"], intervals["standard_error"]
     true = pd.Series(PlantParameters().as_dict())[value.index].astype(float)
     table = {"noise": level, "parameter": value.index, "true": true, "value": value, "standard_error": spread}
-    return pd.DataFrame({**table, "low": value - 1.96 * spread, "high": value + 1.96 * spread, "error": 100 * (value / true - 1)})
+    return pd.DataFrame(
+        {**table, "low": value - 1.96 * spread, "high": value + 1.96 * spread, "error": 100 * (value / true - 1)}
+    )

@@ -109,10 +109,14 @@ def parameter_intervals(model, recording, draws=50, level=0.95, seed=0, pipeline
     recording = _plant_channels(join(recording))
     count = len(recording)
     if count < 2:
-        raise ValueError("the recording has one trajectory, and a bootstrap draws among several; cut it into pieces with recording.cut(samples).")
+        raise ValueError(
+            "the recording has one trajectory, and a bootstrap draws among several; cut it into pieces with recording.cut(samples)."
+        )
     points = recording if points is None else _plant_channels(join(points))
     if not np.array_equal(points.lengths, recording.lengths):
-        raise ValueError(f"points has {len(points)} trajectories, recording {count}, or their lengths differ; give the same ones, smoothed.")
+        raise ValueError(
+            f"points has {len(points)} trajectories, recording {count}, or their lengths differ; give the same ones, smoothed."
+        )
     identify = pipeline or (lambda resample: clone(model).fit(resample))
     value = _estimate(model, points)
     resamples = np.random.default_rng(seed).integers(count, size=(draws, count)).tolist()
@@ -136,17 +140,23 @@ def _estimate(model, recording):
     for role, expected in (("state", STATE_NAMES), ("input", TORQUE_NAMES)):
         names = tuple(getattr(model, f"{role}_names_", expected))
         if names != expected:
-            raise ValueError(f"the model's {role}s are {', '.join(names) or 'none'}; the torque balance needs {', '.join(expected)}, in this order.")
+            raise ValueError(
+                f"the model's {role}s are {', '.join(names) or 'none'}; the torque balance needs {', '.join(expected)}, in this order."
+            )
     x, u = (np.concatenate(part) for part in zip(*recording))
     rates = model.vector_field(x, u)
     if not np.isfinite(rates).all():
-        raise ValueError("the model's vector field is not finite on this recording; take data from the range that it was identified in.")
+        raise ValueError(
+            "the model's vector field is not finite on this recording; take data from the range that it was identified in."
+        )
     A = torque_balance(x, rates[:, [1, 3]]).reshape(-1, len(PARAMETER_NAMES))
     size = np.linalg.norm(A, axis=0)
     size[size == 0] = 1
     parameters, _, rank, _ = np.linalg.lstsq(A / size, u.T.ravel(), rcond=1e-10)
     if rank < len(size):
-        raise ValueError(f"the recording tells only {rank} combinations of the {len(size)} parameters apart; record motion of both angles.")
+        raise ValueError(
+            f"the recording tells only {rank} combinations of the {len(size)} parameters apart; record motion of both angles."
+        )
     return parameters / size
 
 

@@ -172,7 +172,9 @@ def markdown():
     """The same for docs and notebooks: one row per option, the default first. Formulas stand in ``$...$``."""
     lines = [("option", "the paper", "choices, the default first")]
     for option, (sentence, meanings) in OPTIONS.items():
-        quoted = f"${sentence}$" if sentence.startswith("\\") or "\\frac" in sentence else f"“{' '.join(sentence.split())}”"
+        quoted = (
+            f"${sentence}$" if sentence.startswith("\\") or "\\frac" in sentence else f"“{' '.join(sentence.split())}”"
+        )
         listed = "; ".join(f"`{choice}`: {meaning}" for choice, meaning in meanings.items())
         lines.append((f"`{option}`", quoted, listed))
     return markdown_table(lines)
@@ -202,7 +204,9 @@ def read_yaml(path, *sections):
         raise ReadingError(str(error)) from None
     for section in sections:
         if not isinstance(content, dict) or section not in content:
-            raise ReadingError(f"{path} has no section {section!r}{did_you_mean(section, content if isinstance(content, dict) else [])}")
+            raise ReadingError(
+                f"{path} has no section {section!r}{did_you_mean(section, content if isinstance(content, dict) else [])}"
+            )
         content = content[section]
     if not isinstance(content or {}, dict):
         raise ReadingError(f"{path} holds a {type(content).__name__}: write one `option: choice` per line.")

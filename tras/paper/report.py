@@ -52,7 +52,9 @@ def report(story, sources):
             bodies.append(f'<p class="lacking">{page.inline(convert, f"This part is not shown: {lack}")}</p>\n')
     body = "".join(bodies)
     # A link to a figure of a section that is not shown leads nowhere.
-    body = re.sub(r'<a href="#(fig-[^"]*)">(.*?)</a>', lambda link: link[0] if f'id="{link[1]}"' in body else link[2], body)
+    body = re.sub(
+        r'<a href="#(fig-[^"]*)">(.*?)</a>', lambda link: link[0] if f'id="{link[1]}"' in body else link[2], body
+    )
     return page.frame(story.partition("\n")[0].lstrip("# "), body, contents), lacking
 
 
@@ -74,7 +76,9 @@ def _figure(spec, sources, inline):
 
 def _table(spec, sources, inline):
     head, rows, keys = lookups.table(spec, sources)
-    return page.table(list(map(page.escape, head)), [list(map(page.escape, row)) for row in rows], inline(spec["caption"]), keys=keys)
+    return page.table(
+        list(map(page.escape, head)), [list(map(page.escape, row)) for row in rows], inline(spec["caption"]), keys=keys
+    )
 
 
 def _from_markdown(text, caption, inline, *, kind):
@@ -88,7 +92,9 @@ def _compare(spec, sources, inline):
     try:
         text = tables.markdown(tables.read(path))
     except (KeyError, TypeError, ValueError, IndexError, StopIteration):
-        raise ValueError(f"{path} is not the table paper against ours: delete it, and make all makes it anew.") from None
+        raise ValueError(
+            f"{path} is not the table paper against ours: delete it, and make all makes it anew."
+        ) from None
     html = _from_markdown(text, spec["caption"], inline, kind="numbers")
     return re.sub(r"(<td[^>]*>\S+) \(", r"\1 <br />(", html)  # the range below the median: seven columns are wide
 
@@ -109,7 +115,10 @@ def _plant(spec, _, inline):
     from tras.twin_rotor.plant import PlantParameters
 
     values = PlantParameters().as_dict()
-    rows = [[inline(symbol), number(values[name], ".6g"), page.escape(unit)] for name, (symbol, unit) in spec["symbols"].items()]
+    rows = [
+        [inline(symbol), number(values[name], ".6g"), page.escape(unit)]
+        for name, (symbol, unit) in spec["symbols"].items()
+    ]
     return page.table(["symbol", "value", "unit"], rows, inline(spec["caption"]))
 
 
@@ -128,7 +137,10 @@ def _claims(spec, sources, inline):
     except (KeyError, AttributeError, ValueError):
         raise ValueError(f"{path} is not the table of claims: delete it, and make all makes it anew.") from None
     if spec.get("table"):
-        cells = [[f'<a href="#claim-{e(row["claim"])}">{e(row["claim"])}</a>', e(row["statement"]), _verdict(row)] for row in rows]
+        cells = [
+            [f'<a href="#claim-{e(row["claim"])}">{e(row["claim"])}</a>', e(row["statement"]), _verdict(row)]
+            for row in rows
+        ]
         return page.table(["claim", "the paper says", "verdict"], cells, inline(spec["caption"]), kind="short")
     return "".join(_claim(row) for row in rows)
 
@@ -138,7 +150,7 @@ def _claim(row):
     value, low, high = (number(row[name], ".4g") for name in ("value", "low", "high"))
     span = f" ({low} to {high})" if "–" not in (low, high) and low != high else ""
     parts = [
-        f'<h3>{e(row["claim"])}: {e(row["statement"])}</h3>',
+        f"<h3>{e(row['claim'])}: {e(row['statement'])}</h3>",
         f"<p>{_verdict(row)}</p>",
         f"<p>Reading: {e(row['reading'])}.</p>" if row["reading"] else "",
         f"<p>{e(_sentence(row['quantity']))}: <strong>{e(value + span)}</strong>.</p>" if row["quantity"] else "",
@@ -155,17 +167,30 @@ def _sentence(text):
 
 def _provenance(spec, sources, inline):
     """The records that `tras.workflow.runner` leaves beside executed notebooks; what several share stands there once."""
-    records = {path.stem: lookups.record(path) for path in sorted(sources.build.glob("[0-9]*.json")) if path.with_suffix(".ipynb").is_file()}
+    records = {
+        path.stem: lookups.record(path)
+        for path in sorted(sources.build.glob("[0-9]*.json"))
+        if path.with_suffix(".ipynb").is_file()
+    }
     if not records:
         raise Lacking(f"no stage has left a record beside its executed notebook: {sources.command} runs them.")
     e, rows, facts = page.escape, [], {}
     for stage, record in records.items():
         git = record.get("git") or {}
         revision = (git.get("revision") or "unknown")[:12] + (", with changes" if git.get("dirty") else "")
-        rows.append([e(stage), f"<code>{e(revision)}</code>", e(record.get("started", "–")), e(number(record.get("seconds"), ".1f"))])
+        rows.append(
+            [
+                e(stage),
+                f"<code>{e(revision)}</code>",
+                e(record.get("started", "–")),
+                e(number(record.get("seconds"), ".1f")),
+            ]
+        )
         for name, value in _environment(record).items():
             facts.setdefault(name, {}).setdefault(value, []).append(stage)
-    several = {name: "; ".join(f"{value} ({', '.join(by)})" for value, by in values.items()) for name, values in facts.items()}
+    several = {
+        name: "; ".join(f"{value} ({', '.join(by)})" for value, by in values.items()) for name, values in facts.items()
+    }
     cells = [[e(name), e(next(iter(values)) if len(values) == 1 else several[name])] for name, values in facts.items()]
     stages = page.table(["stage", "git revision", "started", "seconds"], rows, inline(spec["stages"]))
     return stages + page.table(["what", "version or value"], cells, inline(spec["environment"]), kind="prose")
@@ -176,7 +201,9 @@ def _environment(record):
     facts = {name: record[name] for name in ("python", "platform", "processor") if name in record}
     facts |= {"vector instructions": ", ".join(record["instructions"])} if record.get("instructions") else {}
     facts |= {"SHA-256 of environment.txt": record["environment"]} if record.get("environment") else {}
-    return {name: str(value) for name, value in (facts | record.get("variables", {}) | record.get("packages", {})).items()}
+    return {
+        name: str(value) for name, value in (facts | record.get("variables", {}) | record.get("packages", {})).items()
+    }
 
 
 _BLOCKS = {
@@ -187,19 +214,43 @@ _BLOCKS = {
 
 def main(arguments=None):
     """Command line; returns the exit status: 0, 1 (a damaged file, or no room to write), 2 (the call was wrong)."""
-    parser = argparse.ArgumentParser(prog="python -m tras.paper.report", description="Write the whole replication as one page that needs no network.")
+    parser = argparse.ArgumentParser(
+        prog="python -m tras.paper.report", description="Write the whole replication as one page that needs no network."
+    )
     parser.add_argument("report", type=Path, help="where the page goes, for example build/paper/report.html")
     parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the tables (default: data)")
-    parser.add_argument("--figures", type=Path, default=Path("figures"), help="folder of the figures (default: figures)")
-    parser.add_argument("--build", type=Path, default=Path("build/paper"), help="folder of the executed notebooks (default: build/paper)")
-    parser.add_argument("--story", type=Path, default=Path(__file__).parents[2] / "docs" / "report.md", help="the text (default: docs/report.md)")
+    parser.add_argument(
+        "--figures", type=Path, default=Path("figures"), help="folder of the figures (default: figures)"
+    )
+    parser.add_argument(
+        "--build",
+        type=Path,
+        default=Path("build/paper"),
+        help="folder of the executed notebooks (default: build/paper)",
+    )
+    parser.add_argument(
+        "--story",
+        type=Path,
+        default=Path(__file__).parents[2] / "docs" / "report.md",
+        help="the text (default: docs/report.md)",
+    )
     options = parser.parse_args(arguments)
-    for path, exists in [(options.story, Path.is_file), (options.data, Path.is_dir), (options.figures, Path.is_dir), (options.build, Path.is_dir)]:
+    for path, exists in [
+        (options.story, Path.is_file),
+        (options.data, Path.is_dir),
+        (options.figures, Path.is_dir),
+        (options.build, Path.is_dir),
+    ]:
         if not exists(path):
-            print(f"{path} does not exist; `make all` makes the data, the figures and the executed notebooks.", file=sys.stderr)
+            print(
+                f"{path} does not exist; `make all` makes the data, the figures and the executed notebooks.",
+                file=sys.stderr,
+            )
             return 2
     try:
-        text, lacking = report(options.story.read_text(encoding="utf-8"), Sources(options.data, options.figures, options.build))
+        text, lacking = report(
+            options.story.read_text(encoding="utf-8"), Sources(options.data, options.figures, options.build)
+        )
         with files.replacing(options.report) as temporary:
             temporary.write_text(text, encoding="utf-8")
     except (ValueError, OSError) as error:

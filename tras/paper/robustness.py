@@ -65,7 +65,9 @@ def identify(recording, samples, method, smoothed=None, segment=None):
     return model if method == "smoothed" else refine(model, recording, segment=segment)
 
 
-def noise_study(train, fresh, levels, seeds, samples, window, *, methods=METHODS, default_levels=None, segment=None, processes=1):
+def noise_study(
+    train, fresh, levels, seeds, samples, window, *, methods=METHODS, default_levels=None, segment=None, processes=1
+):
     """Prediction error against measurement noise in the training data; validation is free of noise, from the true initial state.
 
     Without noise there is one seed and nothing to smooth or to refine.
@@ -99,9 +101,13 @@ def noise_study(train, fresh, levels, seeds, samples, window, *, methods=METHODS
     """
     tried = [(level, seeds[0]) for level in (levels if default_levels is None else default_levels)]
     runs = [(level, seed) for level in levels for seed in (seeds if level else seeds[:1])]
-    cases = [(*run, [m for m in methods if (run in tried if m == "default" else run[0] or m == "plain")]) for run in runs]
+    cases = [
+        (*run, [m for m in methods if (run in tried if m == "default" else run[0] or m == "plain")]) for run in runs
+    ]
     shared = train, fresh, samples, window, segment
-    parts = each(_noise_case, cases, shared, cost=lambda level, seed, methods: (len(methods), level), processes=processes)
+    parts = each(
+        _noise_case, cases, shared, cost=lambda level, seed, methods: (len(methods), level), processes=processes
+    )
     models = {key: model for _, found, _ in parts for key, model in found.items()}
     recordings = {case[:2]: pair for case, (_, _, pair) in zip(cases, parts)}
     return pd.DataFrame([row for rows, _, _ in parts for row in rows]), models, recordings
@@ -137,7 +143,9 @@ def _attempt(fit, fresh, window, **case):
         errors, counts = table["nrmse"].to_dict(), {name: int(table[name].iloc[0]) for name in counts}
     except ValueError as error:
         failure = "logarithm" if isinstance(error, LogarithmError) else "data"
-    return model, [{**case, "angle": angle, "nrmse": error, **counts, "failure": failure} for angle, error in errors.items()]
+    return model, [
+        {**case, "angle": angle, "nrmse": error, **counts, "failure": failure} for angle, error in errors.items()
+    ]
 
 
 def slow_controllers(parameters):
@@ -147,7 +155,18 @@ def slow_controllers(parameters):
     return pitch, PID.pole_placement(inertia, parameters.u_psi_limits, frequency=1.0, damping=0.7, integral_rate=0.25)
 
 
-def sampling_study(times, duration, band, peak, seeds, trajectory, window, *, predictors=("vector_field", "one_step", "lifted_linear"), processes=1):
+def sampling_study(
+    times,
+    duration,
+    band,
+    peak,
+    seeds,
+    trajectory,
+    window,
+    *,
+    predictors=("vector_field", "one_step", "lifted_linear"),
+    processes=1,
+):
     """Prediction error against the sampling time; the loop is simulated anew at each, its torques held over the longer sample.
 
     Parameters
@@ -173,7 +192,8 @@ def sampling_study(times, duration, band, peak, seeds, trajectory, window, *, pr
         references = [multisine(duration, dt, band, peak, seed) for seed in seeds]
         controllers = slow_controllers(parameters)
         train, fresh = [
-            simulate_closed_loop(r, dt, parameters, controllers=controllers).select(inputs=TORQUE_NAMES) for r in references
+            simulate_closed_loop(r, dt, parameters, controllers=controllers).select(inputs=TORQUE_NAMES)
+            for r in references
         ]
         about = {"sampling_time": dt, "fastest": float(np.abs(train.states[..., [1, 3]]).max())}
         pieces = train.cut(round(trajectory / dt) + 1)
@@ -182,16 +202,41 @@ def sampling_study(times, duration, band, peak, seeds, trajectory, window, *, pr
             for name in ("monomials3", "mechanical")
             for predictor in predictors
             for row in _attempt(
-                lambda: KoopmanModel(DICTIONARIES[name], predictor).fit(pieces), fresh, window, **about, dictionary=name, predictor=predictor
+                lambda: KoopmanModel(DICTIONARIES[name], predictor).fit(pieces),
+                fresh,
+                window,
+                **about,
+                dictionary=name,
+                predictor=predictor,
             )[1]
         ]
 
     parts = each(case, [(dt,) for dt in times], processes=processes)
-    columns = ["sampling_time", "dictionary", "predictor", "angle", "nrmse", "windows", "diverged", "failure", "fastest"]
+    columns = [
+        "sampling_time",
+        "dictionary",
+        "predictor",
+        "angle",
+        "nrmse",
+        "windows",
+        "diverged",
+        "failure",
+        "fastest",
+    ]
     return pd.DataFrame([row for part in parts for row in part])[columns]
 
 
-def length_study(train, levels, ratios, stretches, *, fits=("plain", "default"), dictionaries=tuple(DICTIONARIES), seed=0, processes=1):
+def length_study(
+    train,
+    levels,
+    ratios,
+    stretches,
+    *,
+    fits=("plain", "default"),
+    dictionaries=tuple(DICTIONARIES),
+    seed=0,
+    processes=1,
+):
     """Where the logarithm fails: contiguous stretches of one recording, of ``ratio`` snapshot pairs a function.
 
     Parameters
@@ -232,7 +277,11 @@ def length_study(train, levels, ratios, stretches, *, fits=("plain", "default"),
         return {**about, "seconds": pairs * train.dt, "stretches": stretches, **shares, "failed": sum(shares.values())}
 
     table = pd.DataFrame(each(case, cases, cost=lambda *options: options[5], processes=processes))
-    return table.sort_values(["fit", "noise", "functions", "dictionary", "ratio"], ascending=[False, True, True, True, True], ignore_index=True)
+    return table.sort_values(
+        ["fit", "noise", "functions", "dictionary", "ratio"],
+        ascending=[False, True, True, True, True],
+        ignore_index=True,
+    )
 
 
 def _stretches(recording, pairs, count):

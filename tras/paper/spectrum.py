@@ -57,7 +57,9 @@ def residuals(model, recording):
     """
     values, vectors = eigenpairs(model)
     if model.predictor == "lifted_linear":
-        raise ValueError("predictor is 'lifted_linear': its functions change with the input too; fit with 'vector_field' or 'one_step'.")
+        raise ValueError(
+            "predictor is 'lifted_linear': its functions change with the input too; fit with 'vector_field' or 'one_step'."
+        )
     error, size = np.zeros(len(values)), np.zeros(len(values))
     for before, after in _liftings(model, recording):
         f, g = before @ vectors, after @ vectors

@@ -17,8 +17,14 @@ def field_of(model):
         If the model predicts in another way, or is confined to its training data: its functions alone do not say what it does then.
     """
     if model.predictor != "vector_field" or model.hull_ is not None:
-        raise ValueError("only models with predictor='vector_field' and extrapolation='functions' can be stacked; fit one with these options.")
-    scales = {f"{letter}_{kind}": getattr(model, f"{letter}_{kind}_").tolist() for letter in "xu" for kind in ("offset", "scale")}
+        raise ValueError(
+            "only models with predictor='vector_field' and extrapolation='functions' can be stacked; fit one with these options."
+        )
+    scales = {
+        f"{letter}_{kind}": getattr(model, f"{letter}_{kind}_").tolist()
+        for letter in "xu"
+        for kind in ("offset", "scale")
+    }
     return {"W": model.W_.tolist(), "substeps": model.substeps_, "delays": model.delays, "dt": model.dt_, **scales}
 
 
@@ -29,8 +35,16 @@ def alike(models):
         key = i
         if model.predictor == "vector_field" and not model.hull_ is not None:
             channels = model.dictionary_.n_states_ + model.dictionary_.n_inputs_
-            some = points.setdefault(channels, np.random.default_rng(0).uniform(-1, 1, (channels, 5)))  # dictionaries are told apart by values there
-            key = model.delays, model.substeps_, model.dt_, len(model.state_names_), model.dictionary_.lift(some).tobytes()
+            some = points.setdefault(
+                channels, np.random.default_rng(0).uniform(-1, 1, (channels, 5))
+            )  # dictionaries are told apart by values there
+            key = (
+                model.delays,
+                model.substeps_,
+                model.dt_,
+                len(model.state_names_),
+                model.dictionary_.lift(some).tobytes(),
+            )
         groups.setdefault(key, []).append(i)
     return list(groups.values())
 
@@ -70,9 +84,13 @@ def free_runs(dictionary, fields, starts, inputs):
     """
     shared = {tuple(field[name] for name in ("delays", "substeps", "dt")) for field in fields}
     if len(shared) != 1:
-        raise ValueError(f"fields differ in (delays, substeps, dt): {sorted(shared)}; stack only models that agree in them.")
+        raise ValueError(
+            f"fields differ in (delays, substeps, dt): {sorted(shared)}; stack only models that agree in them."
+        )
     ((delays, substeps, dt),) = shared
-    W, x_offset, x_scale, u_offset, u_scale = (_array(fields, name) for name in ("W", "x_offset", "x_scale", "u_offset", "u_scale"))
+    W, x_offset, x_scale, u_offset, u_scale = (
+        _array(fields, name) for name in ("W", "x_offset", "x_scale", "u_offset", "u_scale")
+    )
     (models, runs, samples, m), n, d = inputs.shape, starts.shape[-1], delays
     z = (starts - _wide(x_offset)) / _wide(x_scale)
     z = z[:, :, ::-1].reshape(models * runs, -1).T.copy()  # newest first

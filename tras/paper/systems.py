@@ -48,8 +48,12 @@ def system_recording(name, trajectories, samples, noise, seed):
     rng = np.random.default_rng(seed)
     times = dt * np.arange(samples)
     starts = rng.uniform(-half, half, (trajectories, n))
-    runs = [solve_ivp(lambda t, x: field(x), (0, times[-1]), x, "DOP853", times, rtol=1e-12, atol=1e-12).y.T for x in starts]
-    return Recording([x * (1 + noise / 100 * rng.standard_normal(x.shape)) for x in runs], np.empty((trajectories, samples, 0)), dt)
+    runs = [
+        solve_ivp(lambda t, x: field(x), (0, times[-1]), x, "DOP853", times, rtol=1e-12, atol=1e-12).y.T for x in starts
+    ]
+    return Recording(
+        [x * (1 + noise / 100 * rng.standard_normal(x.shape)) for x in runs], np.empty((trajectories, samples, 0)), dt
+    )
 
 
 def coefficient_error(field, name):
@@ -95,7 +99,9 @@ def _errors(name, *simulation):
     """Coefficients' error by lifting and refined, and the eigenvalues'."""
     recording = system_recording(name, *simulation)
     model = KoopmanModel(Monomials(SYSTEMS[name][2]), regularization=None, extrapolation="functions").fit(recording)
-    by_coefficients = [coefficient_error(m.vector_field, name) for m in (model, refine(model, recording, segment=recording.lengths[0]))]
+    by_coefficients = [
+        coefficient_error(m.vector_field, name) for m in (model, refine(model, recording, segment=recording.lengths[0]))
+    ]
     return [*by_coefficients, _eigenvalue_error(model) if name == "slow manifold" else np.nan]
 
 

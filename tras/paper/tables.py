@@ -48,7 +48,11 @@ def comparison(metrics, identification):
 
     from tras.paper.readings import PAPER_NRMSE
 
-    multisines = metrics[metrics["recording"].str.startswith("multisine")].set_index(["kind", "input", "model", "angle"]).sort_index()
+    multisines = (
+        metrics[metrics["recording"].str.startswith("multisine")]
+        .set_index(["kind", "input", "model", "angle"])
+        .sort_index()
+    )
     condition = identification.set_index(["input", "model"])["condition"]
     sources = [source for source in COLUMNS if source[0] != "paper"]
     rows = []
@@ -57,14 +61,39 @@ def comparison(metrics, identification):
             for source in sources:
                 group = multisines.loc[[(kind, *source, angle)]]
                 v, horizon = group[name], group["horizon"].iloc[0]
-                rows.append((kind, horizon, name, angle, *source, v.median(), v.min(), v.max(), group["windows"].sum(), group["diverged"].sum()))
+                rows.append(
+                    (
+                        kind,
+                        horizon,
+                        name,
+                        angle,
+                        *source,
+                        v.median(),
+                        v.min(),
+                        v.max(),
+                        group["windows"].sum(),
+                        group["diverged"].sum(),
+                    )
+                )
             if kind == "window" and name == "nrmse":
                 value = PAPER_NRMSE[angle]
                 rows.append((kind, horizon, name, angle, "paper", "paper", value, value, value, 0, 0))
     for source in sources:
         value = condition[source]
         rows.append(("fit", 0, "condition", "", *source, value, value, value, 0, 0))
-    columns = ["kind", "horizon", "metric", "angle", "input", "model", "median", "lowest", "highest", "windows", "diverged"]
+    columns = [
+        "kind",
+        "horizon",
+        "metric",
+        "angle",
+        "input",
+        "model",
+        "median",
+        "lowest",
+        "highest",
+        "windows",
+        "diverged",
+    ]
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -88,18 +117,28 @@ def text(rows):
 
 def _cells(rows):
     """Rows of strings, the heading first."""
-    rows = [row | {name: float(row[name] or "nan") for name in ("horizon", "median", "lowest", "highest")} for row in rows]
+    rows = [
+        row | {name: float(row[name] or "nan") for name in ("horizon", "median", "lowest", "highest")} for row in rows
+    ]
     cells = [["", *COLUMNS.values()]]
     kinds = {"window": "s windows", "free run": "s free run"}
-    for (kind, metric, angle), group in itertools.groupby(rows, key=lambda row: (row["kind"], row["metric"], row["angle"])):
+    for (kind, metric, angle), group in itertools.groupby(
+        rows, key=lambda row: (row["kind"], row["metric"], row["angle"])
+    ):
         by_source = {(row["input"], row["model"]): row for row in group}
         horizon = next(iter(by_source.values()))["horizon"]
         label = f"{_METRICS[metric]}, {angle}, {horizon:g} {kinds[kind]}" if kind in kinds else _METRICS[metric]
         cells.append([label, *(_number(by_source.get(source)) for source in COLUMNS)])
     for kind in kinds:
         alike = [row for row in rows if row["kind"] == kind]
-        counts = {(row["input"], row["model"]): f"{row['diverged']} of {row['windows']}" for row in alike if row["input"] != "paper"}
-        cells.append([f"diverged, {alike[0]['horizon']:g} {kinds[kind]}", *(counts.get(source, _MISSING) for source in COLUMNS)])
+        counts = {
+            (row["input"], row["model"]): f"{row['diverged']} of {row['windows']}"
+            for row in alike
+            if row["input"] != "paper"
+        }
+        cells.append(
+            [f"diverged, {alike[0]['horizon']:g} {kinds[kind]}", *(counts.get(source, _MISSING) for source in COLUMNS)]
+        )
     return cells
 
 
@@ -156,14 +195,24 @@ def methods_markdown(rows):
     entries, horizons = methods(rows)
     bound = entries.pop(_BOUND, None)
     window, free = (f"{h:g} s" for h in horizons[-2:])
-    lines = [["method", "parameters", *(f"{name}, {window if kind == 'window' else free}: yaw / pitch" for name, kind in _METHOD_COLUMNS)]]
+    lines = [
+        [
+            "method",
+            "parameters",
+            *(f"{name}, {window if kind == 'window' else free}: yaw / pitch" for name, kind in _METHOD_COLUMNS),
+        ]
+    ]
     for method, entry in entries.items():
-        counts = dict.fromkeys(str(int(float(count))) for count in entry["parameters"].values() if count not in ("", None))
+        counts = dict.fromkeys(
+            str(int(float(count))) for count in entry["parameters"].values() if count not in ("", None)
+        )
         lines.append([method, "; ".join(counts), *(_yaw_pitch(entry, *column) for column in _METHOD_COLUMNS)])
     if bound is None:
         return markdown_table(lines)
     errors = f"{_yaw_pitch(bound, 'torque', 'window')} % over {window}"
-    sentence = f"The {_BOUND}, the plant's own equations with eight parameters from the same data, has {errors}: the bound."
+    sentence = (
+        f"The {_BOUND}, the plant's own equations with eight parameters from the same data, has {errors}: the bound."
+    )
     return f"{markdown_table(lines)}\n\n{sentence}"
 
 

@@ -72,7 +72,9 @@ def _windows(recordings, seconds):
 def _table(windows, predicted, seconds, range_over):
     """The table of `score` for windows by recording and all predictions in their order."""
     rows = []
-    for (name, window), prediction in zip(windows.items(), np.split(predicted, np.cumsum([len(w) for w in windows.values()])[:-1])):
+    for (name, window), prediction in zip(
+        windows.items(), np.split(predicted, np.cumsum([len(w) for w in windows.values()])[:-1])
+    ):
         with _named(f"recording {name!r}"):
             judged = judge(window, prediction, range_over=range_over)
         rows += [{"recording": name, "horizon": seconds, **row} for row in judged]

@@ -26,7 +26,12 @@ from tras.workflow.files import replacing
 TOLERANCES = [
     # pattern, rtol, atol, why
     ("*.nc", 1e-9, 1e-12, "a stable closed loop forgets rounding: 4e-15 of a channel's largest value"),
-    ("*.npz", 1e-6, 1e-10, "rounding times a fit's condition number: 7e-13 of a matrix's largest entry, 1e-3 of its smallest"),
+    (
+        "*.npz",
+        1e-6,
+        1e-10,
+        "rounding times a fit's condition number: 7e-13 of a matrix's largest entry, 1e-3 of its smallest",
+    ),
     ("*.csv", 1e-6, 1e-10, "errors of models, the smallest as differences of nearly equal numbers: 1e-7 of a value"),
 ]
 FLOOR = 1e-12  # smaller numbers are rounding in every unit used here: residuals that would be zero in exact arithmetic
@@ -119,7 +124,11 @@ def compare(artefact, expected, reference):
         copy = copies.copy_of(artefact, reference)
         if copy is None:
             with copies.committed(artefact, expected) as copy:
-                return _compare_looks(artefact, copy) if artefact.suffix in copies.PICTURES else _compare_numbers(artefact, copy)
+                return (
+                    _compare_looks(artefact, copy)
+                    if artefact.suffix in copies.PICTURES
+                    else _compare_numbers(artefact, copy)
+                )
         if not copy.is_file():
             return Finding(artefact, "MISSING", f"the reference has lost {copy}: git checkout {copy}")
         return _compare_numbers(artefact, copy)
@@ -132,8 +141,18 @@ def compare(artefact, expected, reference):
 def _compare_numbers(artefact, copy):
     share, detail = compare_columns(copies.read_columns(artefact), copies.read_copy(copy), *tolerance(artefact))
     if share > 1:
-        return Finding(artefact, "DIFFERS", detail + (f", {share:.2g} times what is allowed" if share < float("inf") else ""), share)
-    return Finding(artefact, "numbers agree", f"furthest off: {detail}, {share:.2g} of what is allowed" if detail else "all equal", share)
+        return Finding(
+            artefact,
+            "DIFFERS",
+            detail + (f", {share:.2g} times what is allowed" if share < float("inf") else ""),
+            share,
+        )
+    return Finding(
+        artefact,
+        "numbers agree",
+        f"furthest off: {detail}, {share:.2g} of what is allowed" if detail else "all equal",
+        share,
+    )
 
 
 def _compare_looks(artefact, copy):
@@ -171,10 +190,20 @@ def verify(artefacts, reference):
     failed = sum(counts[verdict] for verdict in FAILURES)
     print(f"\n{len(findings)} artefacts: {', '.join(f'{count} {verdict}' for verdict, count in counts.items())}.")
     if counts["same bytes"] < len(findings):
-        furthest = max((finding for finding in findings if finding.share < float("inf")), key=lambda finding: finding.share)
-        print(f"Largest deviation: {furthest.share:.2g} of what is allowed, {furthest.artefact}." if furthest.share else "No number deviates.")
+        furthest = max(
+            (finding for finding in findings if finding.share < float("inf")), key=lambda finding: finding.share
+        )
+        print(
+            f"Largest deviation: {furthest.share:.2g} of what is allowed, {furthest.artefact}."
+            if furthest.share
+            else "No number deviates."
+        )
         print("The reference comes from", *remarks)
-    print(f"Not verified: {failed} outside tolerance, missing or unreadable; docs/verify.md says what to do." if failed else "Verified.")
+    print(
+        f"Not verified: {failed} outside tolerance, missing or unreadable; docs/verify.md says what to do."
+        if failed
+        else "Verified."
+    )
     return 1 if failed else 0
 
 
@@ -199,17 +228,25 @@ def bless(artefacts, reference):
     except (OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 1
-    for path in {path for path in reference.rglob("*") if path.is_file()} - {*wanted.values(), reference / MANIFEST, reference / "README.md"}:
+    for path in {path for path in reference.rglob("*") if path.is_file()} - {
+        *wanted.values(),
+        reference / MANIFEST,
+        reference / "README.md",
+    }:
         path.unlink()
     size = sum(path.stat().st_size for path in reference.rglob("*") if path.is_file())
     changed = [name for name in sorted({*sums, *old}) if sums.get(name) != old.get(name)]
-    print(f"{reference}: {len(sums)} artefacts, {size / 1e6:.2f} MB; {len(changed)} new or changed: {', '.join(changed) or 'none'}.")
+    print(
+        f"{reference}: {len(sums)} artefacts, {size / 1e6:.2f} MB; {len(changed)} new or changed: {', '.join(changed) or 'none'}."
+    )
     return 0
 
 
 def main(arguments=None):
     """Command line; the exit status: 0, 1 (not verified), 2 (there is nothing to compare with)."""
-    parser = argparse.ArgumentParser(prog="python -m tras.paper.verification", description="Compare artefacts with reference/, or write it.")
+    parser = argparse.ArgumentParser(
+        prog="python -m tras.paper.verification", description="Compare artefacts with reference/, or write it."
+    )
     parser.add_argument("artefacts", nargs="+", type=Path, help="files as make builds them")
     parser.add_argument("--reference", type=Path, default=Path("reference"), help="folder (default: %(default)s)")
     parser.add_argument("--bless", action="store_true", help="write the reference from these files")

@@ -10,7 +10,9 @@ _EPS = np.finfo(float).eps
 _SPREAD = 2  # rows of a sketch that each row goes into
 _RIDGE = 2.0**-36  # shortest direction of a basis, relative to the columns
 _TOGETHER = 16  # columns whose leading bits are taken at a time, in the cache
-_CANCELLED = 1e7  # terms of a row of B over their sum: beyond, the rounding of one product would be felt in the tenth digit
+_CANCELLED = (
+    1e7  # terms of a row of B over their sum: beyond, the rounding of one product would be felt in the tenth digit
+)
 
 
 class Basis:
@@ -91,7 +93,9 @@ class Basis:
         return inverse, (one - self.multiply(inverse)) @ inverse
 
     def same_as(self, other):
-        return self is other or (np.array_equal(self.T, other.T) and np.array_equal(self.scale, other.scale) and self.bits == other.bits)
+        return self is other or (
+            np.array_equal(self.T, other.T) and np.array_equal(self.scale, other.scale) and self.bits == other.bits
+        )
 
     def inverse_of_factor(self, L):
         """T L^-1, the inverse of `factor`."""
@@ -134,7 +138,10 @@ class Sketch:
         if self.rows + rows <= room:
             self._sums[self.rows : self.rows + rows] = x
         else:
-            into, signs = self._rng.integers(room, size=(_SPREAD, rows)), self._rng.choice([-1.0, 1.0], size=(_SPREAD, rows)) / math.sqrt(_SPREAD)
+            into, signs = (
+                self._rng.integers(room, size=(_SPREAD, rows)),
+                self._rng.choice([-1.0, 1.0], size=(_SPREAD, rows)) / math.sqrt(_SPREAD),
+            )
             which = np.tile(np.arange(rows), _SPREAD)
             self._sums += sparse.csr_array((signs.ravel(), (into.ravel(), which)), shape=(room, rows)) @ x
         self.rows += rows
@@ -160,7 +167,9 @@ def householder(x, R=None, triangular=False):
             x = np.vstack([x, np.zeros((p - len(x), p))])
         return np.asfortranarray(np.triu(lapack.dgeqrt(min(48, p), np.asfortranarray(x), overwrite_a=1)[0][:p]))
     zeros = p if triangular else 0
-    return np.asfortranarray(np.triu(lapack.dtpqrt(zeros, min(48, p), np.asfortranarray(R), np.asfortranarray(x), overwrite_b=1)[0]))
+    return np.asfortranarray(
+        np.triu(lapack.dtpqrt(zeros, min(48, p), np.asfortranarray(R), np.asfortranarray(x), overwrite_b=1)[0])
+    )
 
 
 def cholesky(gram):
@@ -198,5 +207,3 @@ def powers_of_two(x):
 
 def sums_of_squares(x):
     return np.einsum("ij,ij->j", x, x)
-
-

@@ -90,7 +90,9 @@ class StreamingLeastSquares:
         if self.rows == 0:
             self._shapes = shapes
         elif shapes != self._shapes:
-            raise ValueError(f"this block has (regressors, targets) {shapes}, earlier ones {self._shapes}; they must be alike.")
+            raise ValueError(
+                f"this block has (regressors, targets) {shapes}, earlier ones {self._shapes}; they must be alike."
+            )
         self.rows += len(regressors)
         panel = self.panel or panel_rows(shapes[0])
         waiting = sum(len(x) for x, _ in self._waiting) + len(regressors)
@@ -170,7 +172,9 @@ class StreamingLeastSquares:
         p, q = shapes
         self._gram, self._cross = np.zeros((p, p)), np.zeros((p, q))
         self._lengths, self._square = np.zeros(p), np.zeros(q)  # sums of squares of regressors and targets
-        self._examined = float(p)  # the trace of G is p or 2 p once the rows of the sample are in it, and its condition number some tens
+        self._examined = float(
+            p
+        )  # the trace of G is p or 2 p once the rows of the sample are in it, and its condition number some tens
 
     def _collect(self, running, lift, leave=0):
         """Add what was found of the first blocks, in order, but for the last ``leave``."""
@@ -237,12 +241,17 @@ class StreamingLeastSquares:
             self.__dict__.update(other.__dict__)
             return self
         if other._shapes != self._shapes:
-            raise ValueError(f"other has (regressors, targets) {other._shapes}, these rows {self._shapes}; they must be alike.")
+            raise ValueError(
+                f"other has (regressors, targets) {other._shapes}, these rows {self._shapes}; they must be alike."
+            )
         for solver in (self, other):
             solver.work_off()
         if not self._basis.same_as(other._basis):
             scale = np.maximum(self._basis.scale, other._basis.scale)
-            one, two = (s._basis.factor(cholesky(s._gram + s._basis.ridge_gram())) * (s._basis.scale / scale) for s in (self, other))
+            one, two = (
+                s._basis.factor(cholesky(s._gram + s._basis.ridge_gram())) * (s._basis.scale / scale)
+                for s in (self, other)
+            )
             common = Basis.of(householder(two, one), scale)
             self._change_basis(common)
             other._change_basis(common)
@@ -324,7 +333,13 @@ class StreamingLeastSquares:
             self._examined = float(state["examined"])
             for key in ("gram", "cross", "lengths", "square"):
                 setattr(self, "_" + key, np.array(state[key], dtype=float))
-            basis = np.asfortranarray(state["T"]), np.array(state["scale"]), int(state["bits"]), np.array(state["ridge"]), int(state["exact"])
+            basis = (
+                np.asfortranarray(state["T"]),
+                np.array(state["scale"]),
+                int(state["bits"]),
+                np.array(state["ridge"]),
+                int(state["exact"]),
+            )
             self._basis = Basis(*basis)
         return self
 
@@ -354,7 +369,14 @@ class LeastSquares:
     """
 
     def __init__(self, coefficients, basis, L, rotated, lengths, square, rows, names=None):
-        self._coefficients, self._basis, self._L, self.rotated, self.rows, self.names = coefficients, basis, L, rotated, rows, names
+        self._coefficients, self._basis, self._L, self.rotated, self.rows, self.names = (
+            coefficients,
+            basis,
+            L,
+            rotated,
+            rows,
+            names,
+        )
         self._least = np.maximum(square - sums_of_squares(rotated), 0)  # squared norm of the residual
         self._norms = np.where(lengths > 0, np.sqrt(lengths), 1.0)
 
@@ -365,7 +387,9 @@ class LeastSquares:
     @cached_property
     def rank(self):
         p, smallest = len(self._L), _smallest(self.rows)
-        if math.sqrt(p) * np.linalg.norm(self._inverse) * smallest < 0.1:  # a bound on the condition number, which costs less than it does itself
+        if (
+            math.sqrt(p) * np.linalg.norm(self._inverse) * smallest < 0.1
+        ):  # a bound on the condition number, which costs less than it does itself
             return p
         return int(np.sum(self._singular > self._singular[0] * smallest))
 
@@ -417,7 +441,9 @@ class LeastSquares:
         """Self, if the coefficients are determined; else a ValueError that says which regressors depend on each other."""
         p = len(self._L)
         if self.rows < p:
-            raise ValueError(f"{self.rows} snapshot pairs cannot determine {p} functions; record at least {p} pairs or use a smaller dictionary.")
+            raise ValueError(
+                f"{self.rows} snapshot pairs cannot determine {p} functions; record at least {p} pairs or use a smaller dictionary."
+            )
         if self.rank < p:
             shares = np.abs(self._svd[2][self.rank :]).max(axis=0)  # of each regressor in combinations that vanish
             involved = sorted(j for j in np.argsort(-shares)[:3] if shares[j] > 0.1 * shares.max())

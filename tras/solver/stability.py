@@ -264,7 +264,12 @@ def _radius(A):
 
 def _checked(R, free, constant, radius, iterations):
     R, free = np.asarray(R, dtype=float), np.asarray(free, dtype=float)
-    if R.ndim != 2 or free.ndim != 2 or R.shape != (len(free), len(free)) or not int(constant) < free.shape[1] <= len(free):
+    if (
+        R.ndim != 2
+        or free.ndim != 2
+        or R.shape != (len(free), len(free))
+        or not int(constant) < free.shape[1] <= len(free)
+    ):
         raise ValueError(
             f"R has shape {R.shape} and free {free.shape}; give a square root (N + m, N + m) of the Gram matrix of [psi(x), u] and "
             f"coefficients (N + m, N), N at least {1 + int(constant)}."
@@ -272,7 +277,9 @@ def _checked(R, free, constant, radius, iterations):
     if not (np.isfinite(R).all() and np.isfinite(free).all()):
         raise ValueError("R or free holds NaN or infinity; repair the data or the fit that it comes from.")
     if constant and np.linalg.norm(R @ (free[:, 0] - np.eye(len(free))[0])) > 1e-6 * np.linalg.norm(R[:, 0]):
-        raise ValueError("free does not predict the first function as the constant that it should be; put that first, or give constant=False.")
+        raise ValueError(
+            "free does not predict the first function as the constant that it should be; put that first, or give constant=False."
+        )
     arguments.number("radius", radius, 0, ends=False, give="a positive number, 1 for a model whose powers stay bounded")
     arguments.whole_number("iterations", iterations, 0)
     return R, free

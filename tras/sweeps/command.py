@@ -51,7 +51,9 @@ class Simulation(_Strict):
 
     def recording(self):
         band, peak = [self.pitch_max_frequency, self.yaw_max_frequency], [self.pitch_peak, self.yaw_peak]
-        reference = multisine(self.duration, self.sampling_time, band, peak, self.seed, max_correlation=self.max_correlation)
+        reference = multisine(
+            self.duration, self.sampling_time, band, peak, self.seed, max_correlation=self.max_correlation
+        )
         return simulate_closed_loop(reference, self.sampling_time)
 
 
@@ -79,7 +81,9 @@ class Description(_Strict):
             return _checked(Simulation, value["simulate"] or {}, f"{name}: simulate: ").recording()
         paths = value if isinstance(value, list) else [value]
         if not paths or not all(isinstance(path, str) for path in paths):
-            raise DescriptionError(f"{name} is {value!r}; give the path of a file, a list of paths, or `simulate: {{duration: 500.0, ...}}`.")
+            raise DescriptionError(
+                f"{name} is {value!r}; give the path of a file, a list of paths, or `simulate: {{duration: 500.0, ...}}`."
+            )
         return paths if self.roles is None else [Recording.read(path, self.roles) for path in paths]
 
 
@@ -94,7 +98,9 @@ def read(path):
     try:
         content = parse_yaml(Path(path).read_text(encoding="utf-8"), path)
     except (OSError, UnicodeError) as error:
-        raise DescriptionError(f"{path} cannot be read ({getattr(error, 'strerror', None) or error}); check the path.") from None
+        raise DescriptionError(
+            f"{path} cannot be read ({getattr(error, 'strerror', None) or error}); check the path."
+        ) from None
     except ParameterError as error:
         raise DescriptionError(str(error)) from None
     return _checked(Description, content, f"{path}: ")
@@ -102,7 +108,9 @@ def read(path):
 
 def _checked(kind, content, place):
     if not isinstance(content, dict):
-        raise DescriptionError(f"{place}it holds {content!r}; write one `name: value` a line, there are {', '.join(kind.model_fields)}.")
+        raise DescriptionError(
+            f"{place}it holds {content!r}; write one `name: value` a line, there are {', '.join(kind.model_fields)}."
+        )
     try:
         return kind(**{str(name): value for name, value in content.items()})
     except pydantic.ValidationError as error:
@@ -119,7 +127,9 @@ def _checked(kind, content, place):
 def write(table, folder):
     """``table.csv`` and, if there is a model, the figure; ten digits, as in all tables behind figures."""
     with replacing(Path(folder) / "table.csv") as temporary:
-        table.drop(columns="model").to_csv(temporary, index=False, float_format="%.10g", lineterminator="\n", encoding="utf-8")
+        table.drop(columns="model").to_csv(
+            temporary, index=False, float_format="%.10g", lineterminator="\n", encoding="utf-8"
+        )
     if table["best"].any():
         shown = table[list(figures_sweep.COLUMNS)]
         figures.save_figure(figures_sweep.sweep_figure(shown), shown, Path(folder) / "error")
@@ -128,11 +138,15 @@ def write(table, folder):
 def summary(table, folder):
     """What came out, in a few lines."""
     models = table[table["outcome"] == "model"].sort_values("error", kind="stable")
-    lines = [f"{len(table)} fits, {len(models)} with a model, {int((models['diverged'] > 0).sum())} of these with windows that diverged"]
+    lines = [
+        f"{len(table)} fits, {len(models)} with a model, {int((models['diverged'] > 0).sum())} of these with windows that diverged"
+    ]
     varied = [name for name in (*MODEL, *DATA) if name != "dictionary" and table[name].nunique(dropna=False) > 1]
     for _, row in models.head(3).iterrows():
         options = "".join(f", {name} {_said(name, row[name])}" for name in varied)
-        lines.append(f"  error {row['error']:.3g} of the half-range: {row['dictionary']}, N = {row['functions']:.0f}{options}")
+        lines.append(
+            f"  error {row['error']:.3g} of the half-range: {row['dictionary']}, N = {row['functions']:.0f}{options}"
+        )
     if models.empty:
         lines.append(f"  none has a model; the first because: {table['outcome'].iloc[0]}")
     return "\n".join([*lines, f"{Path(folder) / 'table.csv'}"])
@@ -140,15 +154,27 @@ def summary(table, folder):
 
 def _said(name, value):
     missing = value is None or (isinstance(value, float) and math.isnan(value))
-    return ("all" if name == "seconds" else "none") if missing else f"{value:g}" if isinstance(value, float) else str(value)
+    return (
+        ("all" if name == "seconds" else "none")
+        if missing
+        else f"{value:g}"
+        if isinstance(value, float)
+        else str(value)
+    )
 
 
 def main(arguments=None):
     """Command line; returns the exit status: 0, 1 (no model, or data, scheduler or disk failed), 2 (the call was wrong), 130 (interrupted)."""
-    parser = argparse.ArgumentParser(prog="python -m tras.sweeps.command", description="Fit and judge every point of a grid.")
+    parser = argparse.ArgumentParser(
+        prog="python -m tras.sweeps.command", description="Fit and judge every point of a grid."
+    )
     parser.add_argument("description", type=Path, help="YAML file, for example params/sweeps/dictionaries.yaml")
     parser.add_argument("--out", type=Path, help="folder for table, figure and cache (default: build/sweep/NAME)")
-    parser.add_argument("--scheduler", default="processes", help="'processes' (default), 'none', or the address of a Dask scheduler: tcp://host:8786")
+    parser.add_argument(
+        "--scheduler",
+        default="processes",
+        help="'processes' (default), 'none', or the address of a Dask scheduler: tcp://host:8786",
+    )
     options = parser.parse_args(arguments)
     folder = options.out or Path("build") / "sweep" / options.description.stem
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # leave as after Ctrl-C

@@ -6,7 +6,14 @@ from matplotlib.ticker import LogLocator
 from tras.plotting import new_figure, require, styled
 
 COLUMNS = ("dictionary", "functions", "error", "diverged")
-_STYLES = (("o", "#0072B2", "-"), ("s", "#D55E00", "--"), ("^", "black", "-."), ("D", "#009E73", ":"), ("v", "#CC79A7", "-"), ("P", "0.4", "--"))
+_STYLES = (
+    ("o", "#0072B2", "-"),
+    ("s", "#D55E00", "--"),
+    ("^", "black", "-."),
+    ("D", "#009E73", ":"),
+    ("v", "#CC79A7", "-"),
+    ("P", "0.4", "--"),
+)
 
 
 @styled()
@@ -44,10 +51,24 @@ def sweep_figure(table):
         for chosen, size in ((rows.drop(best.index), 2), (best, 4)):
             for hollow in (False, True):
                 shown = chosen[(chosen["diverged"] > 0) == hollow]
-                style = {"color": colour, "markersize": size, "markeredgewidth": 0.7, "markerfacecolor": "white" if hollow else colour}
+                style = {
+                    "color": colour,
+                    "markersize": size,
+                    "markeredgewidth": 0.7,
+                    "markerfacecolor": "white" if hollow else colour,
+                }
                 axes.plot(shown["functions"], shown["error"], marker=marker, linestyle="none", **style)
     if (table["diverged"] > 0).any():
-        axes.plot([], [], marker="o", linestyle="none", color="0.4", markerfacecolor="white", markeredgewidth=0.7, label="a window diverged")
+        axes.plot(
+            [],
+            [],
+            marker="o",
+            linestyle="none",
+            color="0.4",
+            markerfacecolor="white",
+            markeredgewidth=0.7,
+            label="a window diverged",
+        )
     axes.set(xscale="log", yscale="log", xlabel="number of functions N", ylabel="error of roll-outs (half-ranges)")
     axes.set_xlim(table["functions"].min() / 1.3, table["functions"].max() * 1.3)
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 3)))

@@ -55,7 +55,9 @@ def points(grid):
         if isinstance(part, KoopmanModel):
             part = part.get_params(deep=False)
         if not isinstance(part, dict):
-            raise ValueError(f"grid holds {part!r}; give a dict option -> list of values, a KoopmanModel, or a list of these.")
+            raise ValueError(
+                f"grid holds {part!r}; give a dict option -> list of values, a KoopmanModel, or a list of these."
+            )
         for point in _combinations(part):
             found.setdefault(str(point.identity()), point)
     if not found:
@@ -88,9 +90,17 @@ def dictionaries(spec):
     """Dictionaries that an object, a name, or a mapping of a name to parameters stands for; see `points`."""
     if isinstance(spec, Dictionary):
         return [spec]
-    name, parameters = (spec, {}) if isinstance(spec, str) else next(iter(spec.items())) if isinstance(spec, dict) and len(spec) == 1 else (None, None)
+    name, parameters = (
+        (spec, {})
+        if isinstance(spec, str)
+        else next(iter(spec.items()))
+        if isinstance(spec, dict) and len(spec) == 1
+        else (None, None)
+    )
     if name is None:
-        raise ValueError(f"grid: dictionary is {spec!r}; give one such as tras.Monomials(2), in YAML {{Monomials: {{degree: 2}}}}.")
+        raise ValueError(
+            f"grid: dictionary is {spec!r}; give one such as tras.Monomials(2), in YAML {{Monomials: {{degree: 2}}}}."
+        )
     if name not in KINDS:
         raise ValueError(f"grid: there is no dictionary {name!r}{did_you_mean(name, KINDS)}")
     if name in ("Union", "Product"):
@@ -98,7 +108,9 @@ def dictionaries(spec):
             raise ValueError(f"grid: {name} has {parameters!r}; give a list of dictionaries.")
         return [KINDS[name](*map(clone, parts)) for parts in itertools.product(*map(dictionaries, parameters))]
     if not isinstance(parameters or {}, dict):
-        raise ValueError(f"grid: {name} has {parameters!r}; give its parameters by name, for example {{{name}: {{...}}}}.")
+        raise ValueError(
+            f"grid: {name} has {parameters!r}; give its parameters by name, for example {{{name}: {{...}}}}."
+        )
     known = KINDS[name]().get_params(deep=False)
     for parameter in parameters or {}:
         if parameter not in known:
@@ -116,6 +128,8 @@ def _values(option, value):
 
 def _check_data(seconds, every, split_seed):
     if seconds is not None:
-        arguments.number("grid: seconds", seconds, 0, ends=False, give="the length of the training data in s, or None for all")
+        arguments.number(
+            "grid: seconds", seconds, 0, ends=False, give="the length of the training data in s, or None for all"
+        )
     arguments.whole_number("grid: every", every)
     arguments.whole_number("grid: split_seed", split_seed, 0)

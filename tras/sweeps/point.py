@@ -96,7 +96,9 @@ def prepared(data, seconds, every, split_seed):
             require_alike(held, other, i)
     still = np.ptp(held.states, axis=(0, 1)) == 0
     if still.any():
-        raise ValueError(f"the held-out state {held.state_names[int(np.argmax(still))]!r} is constant, so there is no range to relate errors to; leave it out.")
+        raise ValueError(
+            f"the held-out state {held.state_names[int(np.argmax(still))]!r} is constant, so there is no range to relate errors to; leave it out."
+        )
     return train if seconds is None else _first(train, seconds), held
 
 

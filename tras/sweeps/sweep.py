@@ -85,7 +85,9 @@ def sweep(
     executors.require_scheduler(scheduler)
     points = sweep_grid.points(grid)
     if held_out is not None and any(point.split_seed for point in points):
-        raise ValueError("grid varies split_seed, but held_out is given, so nothing is split; leave one of the two out.")
+        raise ValueError(
+            "grid varies split_seed, but held_out is given, so nothing is split; leave one of the two out."
+        )
     data, names = _data(recording, held_out, states, inputs, window, train_fraction, points)
     latest = max(point.model.delays for point in points)
     keys = None if cache is None else _keys(points, data, latest)
@@ -121,7 +123,9 @@ def _data(recording, held_out, states, inputs, window, fraction, points):
         _, judged = sweep_point.prepared(data, *options)
     longest = max(point.model.delays for point in points)
     if judged.states.shape[1] < longest + 2:
-        raise ValueError(f"window = {data.window:g} s has {judged.states.shape[1]} samples, too few for {longest} delays; make it longer.")
+        raise ValueError(
+            f"window = {data.window:g} s has {judged.states.shape[1]} samples, too few for {longest} delays; make it longer."
+        )
     return data, judged.state_names
 
 
@@ -129,7 +133,9 @@ def _sources(name, given):
     items = given if isinstance(given, (list, tuple)) else [given]
     for item in items:
         if not isinstance(item, (Recording, str, Path)):
-            raise ValueError(f"{name} holds {type(item).__name__}; give a tras.Recording, the path of a file, or a list of these.")
+            raise ValueError(
+                f"{name} holds {type(item).__name__}; give a tras.Recording, the path of a file, or a list of these."
+            )
     if not items:
         raise ValueError(f"{name} is empty; give a tras.Recording, the path of a file, or a list of these.")
     return tuple(item if isinstance(item, Recording) else sweep_point.file(item) for item in items)
@@ -139,7 +145,9 @@ def _keys(points, data, latest):
     """All that each result depends on beside the code, as JSON holds it."""
     foreign = [kind for point in points for kind in _kinds(point.model.dictionary) if kind not in KINDS.values()]
     if foreign:
-        raise ValueError(f"cache: {foreign[0].__name__} is no dictionary of this package, so a change of its code would go unnoticed; leave cache out.")
+        raise ValueError(
+            f"cache: {foreign[0].__name__} is no dictionary of this package, so a change of its code would go unnoticed; leave cache out."
+        )
     content = {name: [_content(item) for item in getattr(data, name) or ()] for name in ("train", "held")}
     content |= {"states": data.states, "inputs": data.inputs, "window": data.window, "fraction": data.fraction}
     content = results_cache.plain(content)
@@ -167,7 +175,9 @@ def _table(points, values, names):
     rows = []
     for k, (point, value) in enumerate(zip(points, values)):
         nrmse = value.get("nrmse") or [None] * len(names)
-        found = {name: value.get(name) for name in _RESULTS} | {f"nrmse_{name}": error for name, error in zip(names, nrmse)}
+        found = {name: value.get(name) for name in _RESULTS} | {
+            f"nrmse_{name}": error for name, error in zip(names, nrmse)
+        }
         found |= {name: found.pop(name) for name in ("windows", "diverged")}  # behind the errors
         rows.append({**point.options(), **found, "outcome": value["outcome"], "best": k == least, "model": point.model})
     return pd.DataFrame(rows).astype(_RESULTS | {f"nrmse_{name}": float for name in names})

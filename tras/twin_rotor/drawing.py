@@ -174,7 +174,12 @@ def draw_rig(
             widths.append(width * linewidth)
     edges = (*to_rgb(edgecolor), alpha)
     picture = PolyCollection(
-        outlines, facecolors=fills, linewidths=widths, edgecolors=edges, joinstyle="round", zorder=zorder,
+        outlines,
+        facecolors=fills,
+        linewidths=widths,
+        edgecolors=edges,
+        joinstyle="round",
+        zorder=zorder,
     )
     return [axes.add_collection(picture)]
 

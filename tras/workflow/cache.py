@@ -58,7 +58,9 @@ def read(path, options, say=None):
     """What `write` has stored for these options; None if there is nothing, or nothing sound, which ``say`` is told."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        sound = content["options"] == options and content["check"] == digest(json.dumps(content["value"], sort_keys=True))
+        sound = content["options"] == options and content["check"] == digest(
+            json.dumps(content["value"], sort_keys=True)
+        )
     except FileNotFoundError:
         return None
     except (ValueError, KeyError, TypeError):

@@ -95,7 +95,9 @@ def run(work, jobs, shared=(), *, scheduler=None, processes=None, ordered=False,
 def require_scheduler(scheduler):
     """A ValueError unless it is one that `run` knows."""
     if scheduler not in (None, "processes") and not (isinstance(scheduler, str) and "://" in scheduler):
-        raise ValueError(f"scheduler is {scheduler!r}; give None, 'processes', or an address such as 'tcp://host:8786'.")
+        raise ValueError(
+            f"scheduler is {scheduler!r}; give None, 'processes', or an address such as 'tcp://host:8786'."
+        )
 
 
 def _in_turn(done):
@@ -284,7 +286,9 @@ def _next(finished, client, address):
         except queue.Empty:
             if not (said or client.scheduler_info().get("workers")):
                 said = True
-                print(f"scheduler {address!r} has no worker any more: waiting for one (docs/scale.md).", file=sys.stderr)
+                print(
+                    f"scheduler {address!r} has no worker any more: waiting for one (docs/scale.md).", file=sys.stderr
+                )
 
 
 def _killed(future):
@@ -302,7 +306,9 @@ def _result(future, address):
     try:
         return future.result()
     except (FutureCancelledError, CommClosedError) as error:
-        raise SchedulerError(f"scheduler {address!r} went away; start it again (docs/scale.md), and then this.") from error
+        raise SchedulerError(
+            f"scheduler {address!r} went away; start it again (docs/scale.md), and then this."
+        ) from error
 
 
 def _require_alike(client, address, alike, wanted):
@@ -313,11 +319,15 @@ def _require_alike(client, address, alike, wanted):
         raise SchedulerError(f"scheduler {address!r} has no worker; start some (docs/scale.md).") from error
     for worker, theirs in client.run(alike, on_error="return").items():
         if not isinstance(theirs, dict):
-            raise SchedulerError(f"worker {worker} cannot import tras ({theirs}); install environment.txt and this package there.")
+            raise SchedulerError(
+                f"worker {worker} cannot import tras ({theirs}); install environment.txt and this package there."
+            )
         _compare(worker, theirs, wanted)
 
 
 def _compare(worker, theirs, wanted):
     for name, value in wanted.items():
         if theirs.get(name) != value:
-            raise SchedulerError(f"worker {worker} has {name} {theirs.get(name)} but {value} is needed; install environment.txt there.")
+            raise SchedulerError(
+                f"worker {worker} has {name} {theirs.get(name)} but {value} is needed; install environment.txt there."
+            )

@@ -36,7 +36,9 @@ def replacing(path):
         os.replace(temporary, path)
     except OSError as error:
         reason = error.strerror or error
-        raise OSError(error.errno, f"{path} could not be written ({reason}); nothing was left under that name") from error
+        raise OSError(
+            error.errno, f"{path} could not be written ({reason}); nothing was left under that name"
+        ) from error
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -69,7 +71,9 @@ def write_between(path, begin, end, content):
     except OSError as error:
         raise ValueError(f"{path} cannot be read ({error.strerror}): check the path.") from error
     if text.count(begin) != 1 or text.count(end) != 1:
-        raise ValueError(f"{path} must hold the lines {begin!r} and {end!r} once each, around the table; put them back.")
+        raise ValueError(
+            f"{path} must hold the lines {begin!r} and {end!r} once each, around the table; put them back."
+        )
     before, rest = text.split(begin)
     with replacing(path) as temporary:
         temporary.write_text(f"{before}{begin}\n{content}\n{end}{rest.split(end)[1]}", encoding="utf-8")

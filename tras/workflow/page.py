@@ -84,16 +84,23 @@ def table(head, rows, caption, *, keys=1, kind="numbers"):
     sentences.
     """
     columns = list(zip(*rows)) or [()] * len(head)
-    right = [_NUMBER if i >= keys and kind == "numbers" and column and all(map(_is_number, column)) else "" for i, column in enumerate(columns)]
+    right = [
+        _NUMBER if i >= keys and kind == "numbers" and column and all(map(_is_number, column)) else ""
+        for i, column in enumerate(columns)
+    ]
     titles = "".join(f'<th scope="col"{style}>{name}</th>' for name, style in zip(head, right))
     body = []
     for row in rows:
-        cells = [f'<th scope="row">{cell}</th>' for cell in row[:keys]] + [f"<td{style}>{cell}</td>" for cell, style in zip(row[keys:], right[keys:])]
+        cells = [f'<th scope="row">{cell}</th>' for cell in row[:keys]] + [
+            f"<td{style}>{cell}</td>" for cell, style in zip(row[keys:], right[keys:])
+        ]
         body.append(f"<tr>{''.join(cells)}</tr>")
     label = escape(html.unescape(re.sub("<[^>]*>", "", caption)))
     return (
         f'<div class="scroll" tabindex="0" role="region" aria-label="{label}"><table class="{kind}">'
-        f"<caption><span>{caption}</span></caption>\n<thead><tr>{titles}</tr></thead>\n<tbody>\n" + "\n".join(body) + "\n</tbody></table></div>\n"
+        f"<caption><span>{caption}</span></caption>\n<thead><tr>{titles}</tr></thead>\n<tbody>\n"
+        + "\n".join(body)
+        + "\n</tbody></table></div>\n"
     )
 
 
@@ -174,7 +181,9 @@ def frame(title, body, contents):
             chapters.append((link, []))
         else:
             chapters[-1][1].append(f"<li>{link}</li>")
-    items = "\n".join(f"<li>{link}{'<ul>' + ''.join(parts) + '</ul>' if parts else ''}</li>" for link, parts in chapters)
+    items = "\n".join(
+        f"<li>{link}{'<ul>' + ''.join(parts) + '</ul>' if parts else ''}</li>" for link, parts in chapters
+    )
     return (
         '<!DOCTYPE html>\n<html xmlns="http://www.w3.org/1999/xhtml" lang="en">\n<head>\n<meta charset="utf-8" />\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1" />\n'

@@ -44,12 +44,18 @@ def notebook_defaults(notebook):
     try:
         body = ast.parse(source).body
     except SyntaxError as error:
-        raise ParameterError(f"the `parameters` cell of {notebook} is not Python (line {error.lineno}: {error.msg}).") from None
+        raise ParameterError(
+            f"the `parameters` cell of {notebook} is not Python (line {error.lineno}: {error.msg})."
+        ) from None
     defaults = {}
     for node in body:
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
             continue  # a line of text
-        target = node.targets[0] if isinstance(node, ast.Assign) and len(node.targets) == 1 else getattr(node, "target", None)
+        target = (
+            node.targets[0]
+            if isinstance(node, ast.Assign) and len(node.targets) == 1
+            else getattr(node, "target", None)
+        )
         try:
             if not isinstance(target, ast.Name) or isinstance(node, ast.AugAssign):
                 raise ValueError
@@ -85,7 +91,9 @@ def parse_yaml(text, where):
             keys = [self.construct_object(key, deep=True) for key, _ in node.value]
             twice = [key for n, key in enumerate(keys) if key in keys[:n]]
             if twice:
-                raise ParameterError(f"{where}: `{twice[0]}` stands twice (line {node.start_mark.line + 1} on): keep one.")
+                raise ParameterError(
+                    f"{where}: `{twice[0]}` stands twice (line {node.start_mark.line + 1} on): keep one."
+                )
             return super().construct_mapping(node, deep)
 
     try:
@@ -93,7 +101,9 @@ def parse_yaml(text, where):
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f" at line {mark.line + 1}" if mark else ""
-        raise ParameterError(f"{where} is not valid YAML{line} ({getattr(error, 'problem', None) or error}): correct it.") from None
+        raise ParameterError(
+            f"{where} is not valid YAML{line} ({getattr(error, 'problem', None) or error}): correct it."
+        ) from None
 
 
 def read_params(path, notebook):
@@ -123,9 +133,13 @@ def read_params(path, notebook):
     notebooks = sorted(other.stem for other in notebook.parent.glob("*.ipynb"))
     for name, section in content.items():
         if name not in notebooks:
-            raise ParameterError(f"{path} has a section `{name}`, but {notebook.parent} has no such notebook{did_you_mean(name, notebooks)}")
+            raise ParameterError(
+                f"{path} has a section `{name}`, but {notebook.parent} has no such notebook{did_you_mean(name, notebooks)}"
+            )
         if section is not None and not isinstance(section, dict):
-            raise ParameterError(f"section `{name}` of {path} is a {_kind(section)}: write one `parameter: value` per line, indented.")
+            raise ParameterError(
+                f"section `{name}` of {path} is a {_kind(section)}: write one `parameter: value` per line, indented."
+            )
     return content.get(notebook.stem) or {}
 
 
@@ -139,7 +153,9 @@ def parse_settings(settings):
     for setting in settings:
         name, equals, value = setting.partition("=")
         if not equals or not name.isidentifier():
-            raise ParameterError(f"--set {setting} is not understood: write --set name=value, without blanks around '='.")
+            raise ParameterError(
+                f"--set {setting} is not understood: write --set name=value, without blanks around '='."
+            )
         values[name] = parse_yaml(value, f"--set {setting}")
     return values
 
@@ -178,12 +194,16 @@ def _check(value, default, name):
     if isinstance(default, float) and type(value) is int:
         return float(value)
     if type(value) is not type(default):
-        raise ParameterError(f"{name} must be a {_kind(default)} (its default is {default!r}), {_remedy(value, default)}")
+        raise ParameterError(
+            f"{name} must be a {_kind(default)} (its default is {default!r}), {_remedy(value, default)}"
+        )
     if isinstance(value, list):
         return [_check_like_one_of(item, default, f"{name}[{n}]") for n, item in enumerate(value)]
     alike = list(default.values())
     return {
-        key: _check(item, default[key], f"{name}[{key}]") if key in default else _check_like_one_of(item, alike, f"{name}[{key}]")
+        key: _check(item, default[key], f"{name}[{key}]")
+        if key in default
+        else _check_like_one_of(item, alike, f"{name}[{key}]")
         for key, item in value.items()
     }
 

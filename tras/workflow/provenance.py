@@ -75,7 +75,12 @@ def write_beside(record):
 def file_stamp(path):
     """Size, times and SHA-256 of a file, by which `tras/workflow/staleness.py` knows it again."""
     status = path.stat()
-    return {"size": status.st_size, "mtime_ns": status.st_mtime_ns, "ctime_ns": status.st_ctime_ns, "sha256": checksum(path)}
+    return {
+        "size": status.st_size,
+        "mtime_ns": status.st_mtime_ns,
+        "ctime_ns": status.st_ctime_ns,
+        "sha256": checksum(path),
+    }
 
 
 def checksum(path):
@@ -107,13 +112,22 @@ def versions():
 
     import tras
 
-    return {"tras": tras.__version__, "python": platform.python_version(), "numpy": numpy.__version__, "scipy": scipy.__version__}
+    return {
+        "tras": tras.__version__,
+        "python": platform.python_version(),
+        "numpy": numpy.__version__,
+        "scipy": scipy.__version__,
+    }
 
 
 def packages():
     """Versions of the direct dependencies, which `environment.in` lists; None for one that is not installed."""
     requirements = ROOT / "environment.in"
-    names = re.findall(r"^[A-Za-z0-9_.-]+", requirements.read_text(encoding="utf-8"), re.MULTILINE) if requirements.exists() else []
+    names = (
+        re.findall(r"^[A-Za-z0-9_.-]+", requirements.read_text(encoding="utf-8"), re.MULTILINE)
+        if requirements.exists()
+        else []
+    )
     installed = {}
     for name in names:
         try:
@@ -145,7 +159,11 @@ def _cpu(entry):
 def summary():
     """This checkout and this machine in one line."""
     state, libraries = git_state(ROOT), versions()
-    revision = f"revision {state['revision'][:12]}{' with changes' if state['dirty'] else ''}" if state["revision"] else "no revision"
+    revision = (
+        f"revision {state['revision'][:12]}{' with changes' if state['dirty'] else ''}"
+        if state["revision"]
+        else "no revision"
+    )
     machine = f"{processor()} ({' '.join(instructions()[-1:])})" if instructions() else processor()
     packages_used = ", ".join(f"{name} {libraries[name]}" for name in ("numpy", "scipy"))
     return f"{revision}, Python {libraries['python']}, {packages_used}, {sys.platform}, {machine}"

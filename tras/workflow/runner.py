@@ -80,7 +80,9 @@ def run_notebook(notebook, executed, parameters=None, outputs=()):
         _execute(notebook, running, parameters or {})
         _check_outputs(outputs, start, notebook)
         seconds = time.time() - start
-        entry = provenance.record(notebook, {**notebook_defaults(notebook), **(parameters or {})}, outputs, started, seconds)
+        entry = provenance.record(
+            notebook, {**notebook_defaults(notebook), **(parameters or {})}, outputs, started, seconds
+        )
         provenance.write_beside(entry)
         with replacing(record) as temporary:
             temporary.write_text(json.dumps(entry, indent=1) + "\n", encoding="utf-8")
@@ -139,13 +141,19 @@ def _execute(notebook, running, parameters):
             guard.stdin.write(b"done\n")
     except papermill.PapermillExecutionError as error:
         cell = "\n".join(f"    {line}" for line in error.source.splitlines())
-        failed = RunError(f"{notebook.stem} failed in cell [{error.exec_count}]: {error.ename}: {error.evalue}\nThe cell:\n{cell}")
+        failed = RunError(
+            f"{notebook.stem} failed in cell [{error.exec_count}]: {error.ename}: {error.evalue}\nThe cell:\n{cell}"
+        )
         failed.name, failed.words = error.ename, error.evalue
         raise failed from None
     except (DeadKernelError, CellTimeoutError) as error:
-        raise RunError(f"{notebook.stem}: the kernel ended in the middle of a cell ({error}); was the memory enough?") from None
+        raise RunError(
+            f"{notebook.stem}: the kernel ended in the middle of a cell ({error}); was the memory enough?"
+        ) from None
     except NoSuchKernel:
-        raise RunError(f"{notebook.stem}: this Python has no kernel `{KERNEL}`: run `make setup` and use .venv.") from None
+        raise RunError(
+            f"{notebook.stem}: this Python has no kernel `{KERNEL}`: run `make setup` and use .venv."
+        ) from None
     finally:
         for guard in guards:
             guard.communicate()
@@ -174,7 +182,9 @@ def _check_outputs(outputs, start, notebook):
 def _temporaries(finals):
     """What a killed run has left of `tras.workflow.files.replacing`: a dot, the name, a dot, eight random characters."""
     return [
-        path for final in finals for path in final.parent.glob(f".{glob.escape(final.stem)}.????????{glob.escape(final.suffix)}")
+        path
+        for final in finals
+        for path in final.parent.glob(f".{glob.escape(final.stem)}.????????{glob.escape(final.suffix)}")
     ]
 
 
@@ -202,11 +212,15 @@ def interruptible():
 
 def main(arguments=None):
     """Command line; returns the exit code: 0, 1 (the run failed), 2 (the call was wrong), 130 or 143 (interrupted)."""
-    parser = argparse.ArgumentParser(prog="python -m tras.workflow.runner", description="Run one notebook with checked parameters.")
+    parser = argparse.ArgumentParser(
+        prog="python -m tras.workflow.runner", description="Run one notebook with checked parameters."
+    )
     parser.add_argument("notebook", type=Path)
     parser.add_argument("executed", type=Path, help="where the executed notebook goes")
     parser.add_argument("--params", type=Path, metavar="FILE.yaml", help="parameters, one section per notebook")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="one parameter more; wins over the file")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="one parameter more; wins over the file"
+    )
     parser.add_argument("--outputs", nargs="*", default=[], metavar="PATH", help="files that the run must write")
     options = parser.parse_args(arguments)
     try:
@@ -214,7 +228,9 @@ def main(arguments=None):
             defaults = notebook_defaults(options.notebook)
             section = read_params(options.params, options.notebook) if options.params else {}
             parameters = check_parameters(section, defaults, f"{options.params}, section {options.notebook.stem}")
-            parameters.update(check_parameters(parse_settings(options.set), defaults, f"--set for {options.notebook.stem}"))
+            parameters.update(
+                check_parameters(parse_settings(options.set), defaults, f"--set for {options.notebook.stem}")
+            )
             seconds = run_notebook(options.notebook, options.executed, parameters, options.outputs)
         print(f"{options.notebook.stem}  {seconds:.1f} s", flush=True)
         return 0
@@ -226,11 +242,16 @@ def main(arguments=None):
         return 1
     except OSError as error:
         problem = f"{error.filename}: {error.strerror}" if error.filename else error
-        print(f"{options.notebook.stem}: {problem}; nothing was left under the name {options.executed}.", file=sys.stderr)
+        print(
+            f"{options.notebook.stem}: {problem}; nothing was left under the name {options.executed}.", file=sys.stderr
+        )
         return 1
     except Interrupted as interrupt:
         number = interrupt.args[0]
-        print(f"{options.notebook.stem} was interrupted; nothing was left under the name {options.executed}.", file=sys.stderr)
+        print(
+            f"{options.notebook.stem} was interrupted; nothing was left under the name {options.executed}.",
+            file=sys.stderr,
+        )
         return 128 + number
 
 

@@ -82,7 +82,9 @@ class Package:
         self.folder = folder
         self.name = folder.name
         self.paths = {self._module_name(path): path for path in sorted(folder.rglob("*.py"))}
-        self.data = [path for path in sorted(folder.rglob("*")) if path.suffix not in (".py", ".pyc") and path.is_file()]
+        self.data = [
+            path for path in sorted(folder.rglob("*")) if path.suffix not in (".py", ".pyc") and path.is_file()
+        ]
         self._trees: dict[str, ast.Module | None] = {}
         self.table, self.own_names = self._read_table()
 
@@ -150,7 +152,9 @@ class Package:
                 found |= self._from(node, module)
             elif isinstance(node, ast.Attribute):
                 attributes.append(node)
-            elif isinstance(node, ast.Call) and module != self.name:  # the package's own __getattr__ is what the table is for
+            elif (
+                isinstance(node, ast.Call) and module != self.name
+            ):  # the package's own __getattr__ is what the table is for
                 found |= self._dynamic(node)
         resolved = set()
         for node in attributes:
@@ -313,7 +317,9 @@ def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:
-        raise SystemExit(f"{path} cannot be read ({error.strerror}): restore it from git or correct the path.") from None
+        raise SystemExit(
+            f"{path} cannot be read ({error.strerror}): restore it from git or correct the path."
+        ) from None
 
 
 def changed_outputs(record: Path, stamp: Path) -> list[str]:
@@ -332,7 +338,7 @@ def changed_outputs(record: Path, stamp: Path) -> list[str]:
 
 
 def _fate(path: Path, written: dict) -> str:
-    """"deleted", "changed", or empty for a file as it was written. The change time is beyond the reach of `touch`."""
+    """ "deleted", "changed", or empty for a file as it was written. The change time is beyond the reach of `touch`."""
     try:
         now = path.stat()
         if now.st_size != written["size"]:
@@ -362,7 +368,9 @@ def refresh(notebook: Path, build: Path, key: str) -> str:
     if old == key and not spoilt:
         return ""
     write_atomically(path, key)
-    if stamp.exists() and stamp.stat().st_mtime_ns >= path.stat().st_mtime_ns:  # the clock was set back: make would skip the stage
+    if (
+        stamp.exists() and stamp.stat().st_mtime_ns >= path.stat().st_mtime_ns
+    ):  # the clock was set back: make would skip the stage
         later = stamp.stat().st_mtime_ns + 1_000_000
         os.utime(path, ns=(later, later))
     reasons = spoilt
@@ -387,12 +395,16 @@ def raw_digest(paths: list[Path]) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line: see the top of this file."""
-    parser = argparse.ArgumentParser(description="Write NAME.key for each notebook whose code, parameters or outputs changed.")
+    parser = argparse.ArgumentParser(
+        description="Write NAME.key for each notebook whose code, parameters or outputs changed."
+    )
     parser.add_argument("notebooks", nargs="+", type=Path)
     parser.add_argument("--build", required=True, type=Path, help="folder of the key files")
     parser.add_argument("--params", required=True, type=Path, help="parameter file, one section a notebook")
     parser.add_argument("--environment", type=Path, default=Path("environment.txt"))
-    parser.add_argument("--package", type=Path, default=Path(PACKAGE), help="folder of the package (default: %(default)s)")
+    parser.add_argument(
+        "--package", type=Path, default=Path(PACKAGE), help="folder of the package (default: %(default)s)"
+    )
     options = parser.parse_args(arguments)
 
     files = sorted(path for path in options.package.rglob("*") if "__pycache__" not in path.parts)
@@ -405,13 +417,19 @@ def main(arguments: list[str] | None = None) -> int:
         _refresh_all(options, keys, unchanged, package)
         write_atomically(seen, raw)
     except OSError as error:
-        raise SystemExit(f"{options.build} cannot be written ({error.strerror}): make room there, then run make again.") from None
+        raise SystemExit(
+            f"{options.build} cannot be written ({error.strerror}): make room there, then run make again."
+        ) from None
     return 0
 
 
 def _refresh_all(options, keys, unchanged, package):
     for notebook, path in zip(options.notebooks, keys):
-        key = path.read_text(encoding="utf-8") if unchanged else key_of(notebook, options.params, options.environment, package)
+        key = (
+            path.read_text(encoding="utf-8")
+            if unchanged
+            else key_of(notebook, options.params, options.environment, package)
+        )
         reason = refresh(notebook, options.build, key)
         if reason:
             print(reason, flush=True)

@@ -20,7 +20,13 @@ SMALL = Choice(duration=60.0, input="torque", horizon=3.0)
 
 def overlay(**changed):
     time = np.arange(0, 2.01, 0.01)
-    table = {"time": time, "phi_true": 0.5 * np.sin(time), "psi_true": time, "phi_koopman": 0.3 * np.sin(time), "psi_koopman": 0.8 * time}
+    table = {
+        "time": time,
+        "phi_true": 0.5 * np.sin(time),
+        "psi_true": time,
+        "phi_koopman": 0.3 * np.sin(time),
+        "psi_koopman": 0.8 * time,
+    }
     return pd.DataFrame(table | changed)
 
 
@@ -64,7 +70,9 @@ def test_truth_and_ghost_stand_where_the_table_says():
             moving = geometry[geometry["part"].isin(set(rig.SOLIDS) - set(rig.STATIC))]
             seen = rig.project(moving[["x", "y", "z"]])[:, :2]
             corners = drawn(scene, zorder)
-            np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [seen.min(axis=0), seen.max(axis=0)], atol=1e-9)
+            np.testing.assert_allclose(
+                [corners.min(axis=0), corners.max(axis=0)], [seen.min(axis=0), seen.max(axis=0)], atol=1e-9
+            )
         markers = [line.get_xdata()[0] for line in scene.angles[0].lines if line.get_marker() == "o"]
         assert markers == [film["time"][frame]]
 
@@ -106,7 +114,9 @@ def test_the_movie_needs_no_network():
 
 def test_the_true_field_of_torques_is_the_plants(parameters):
     x, u = np.array([0.3, 0.1, -0.5, 0.2]), np.array([0.05, -0.02])
-    np.testing.assert_array_equal(portraits.vector_field_of(("u_phi", "u_psi"))(x, u), tras.vector_field(x, u, parameters))
+    np.testing.assert_array_equal(
+        portraits.vector_field_of(("u_phi", "u_psi"))(x, u), tras.vector_field(x, u, parameters)
+    )
 
 
 def test_the_true_field_of_references_is_the_loop_at_its_balance(parameters):
@@ -122,7 +132,9 @@ def test_the_true_field_of_references_is_the_loop_at_its_balance(parameters):
     expected = tras.simulate_plant(away, np.tile(torques, (2, 1)), dt, parameters)
     field = portraits.vector_field_of(("phi_ref", "psi_ref"))(away, reference)
     np.testing.assert_allclose(field, (expected[1] - away) / dt, rtol=2e-3, atol=2e-3)
-    np.testing.assert_allclose(portraits.vector_field_of(("phi_ref", "psi_ref"))(start, reference), loop.states[0, 1] - start, atol=1e-9)
+    np.testing.assert_allclose(
+        portraits.vector_field_of(("phi_ref", "psi_ref"))(start, reference), loop.states[0, 1] - start, atol=1e-9
+    )
 
 
 def test_far_from_the_reference_the_torques_are_at_their_limits(parameters):
@@ -139,8 +151,15 @@ def test_a_portrait_holds_truth_models_and_the_distance_between_them(outcome, pa
     assert len(table) == 3 * 2 * 25 and (table["error"][table["model"] == "true"] == 0).all()
     row = table[(table["model"] == "Gaussian RBF") & (table["plane"] == "yaw")].iloc[7]
     x = [0.8, 0.0, row["angle"], row["rate"]]
-    identified, true = outcome.model.vector_field(x, [0.0, 0.0]), tras.vector_field(np.array(x), np.zeros(2), parameters)
-    np.testing.assert_allclose(row[["d_angle", "d_rate", "error"]].astype(float), [identified[2], identified[3], abs(identified[3] - true[3])], rtol=1e-9)
+    identified, true = (
+        outcome.model.vector_field(x, [0.0, 0.0]),
+        tras.vector_field(np.array(x), np.zeros(2), parameters),
+    )
+    np.testing.assert_allclose(
+        row[["d_angle", "d_rate", "error"]].astype(float),
+        [identified[2], identified[3], abs(identified[3] - true[3])],
+        rtol=1e-9,
+    )
     low, high = outcome.model.x_offset_[2] + outcome.model.x_scale_[2] * np.array([-1, 1])
     assert (table[table["plane"] == "yaw"]["angle"].min(), table[table["plane"] == "yaw"]["angle"].max()) == (low, high)
 

@@ -55,7 +55,9 @@ DATA_FIGURES = {
     "readings_nearest": partial(figures_readings.nearest_figure, within=0.25),
     "portrait": figures_explore.portrait_figure,
 }
-CASES = pytest.mark.parametrize("case", [rig_case, method_case, *(redrawn(draw, name) for name, draw in DATA_FIGURES.items())])
+CASES = pytest.mark.parametrize(
+    "case", [rig_case, method_case, *(redrawn(draw, name) for name, draw in DATA_FIGURES.items())]
+)
 
 
 @pytest.mark.parametrize("name", DATA_FIGURES)

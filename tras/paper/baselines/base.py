@@ -29,7 +29,9 @@ class Baseline(Estimator):
             raise ValueError("no trajectory has two samples, so there are no snapshot pairs; record more.")
         self._check_options()
         self.channels_ = Channels.of(recording)
-        self._learn([((x - self.x_offset_) / self.x_scale_, (u - self.u_offset_) / self.u_scale_) for x, u in recording])
+        self._learn(
+            [((x - self.x_offset_) / self.x_scale_, (u - self.u_offset_) / self.u_scale_) for x, u in recording]
+        )
         return self
 
     def _simulate_scaled(self, x, u):
@@ -49,14 +51,23 @@ class Baseline(Estimator):
 
 def pairs(trajectories):
     """All snapshot pairs, none across two trajectories: states, inputs, next states, (pairs, channels) each."""
-    return tuple(np.concatenate(part) for part in ([x[:-1] for x, _ in trajectories], [u[:-1] for _, u in trajectories], [x[1:] for x, _ in trajectories]))
+    return tuple(
+        np.concatenate(part)
+        for part in (
+            [x[:-1] for x, _ in trajectories],
+            [u[:-1] for _, u in trajectories],
+            [x[1:] for x, _ in trajectories],
+        )
+    )
 
 
 def ridge(features, targets, alpha=0.0):
     """Least squares by QR with ``alpha`` times the number of rows on the squares of the coefficients: (points, N), (points, k) -> (N, k)."""
     count = features.shape[1]
     if len(features) < count:
-        raise ValueError(f"there are {len(features)} snapshot pairs for {count} coefficients a channel; record more or choose a smaller model.")
+        raise ValueError(
+            f"there are {len(features)} snapshot pairs for {count} coefficients a channel; record more or choose a smaller model."
+        )
     if alpha:
         features = np.vstack([features, np.sqrt(alpha * len(features)) * np.eye(count)])
         targets = np.vstack([targets, np.zeros((count, targets.shape[1]))])

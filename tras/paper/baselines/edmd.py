@@ -33,7 +33,10 @@ class PykoopEdmd(Baseline):
     def _learn(self, trajectories):
         import pykoop
 
-        lifting = [("polynomial", pykoop.PolynomialLiftingFn(order=self.order)), ("constant", pykoop.ConstantLiftingFn())]
+        lifting = [
+            ("polynomial", pykoop.PolynomialLiftingFn(order=self.order)),
+            ("constant", pykoop.ConstantLiftingFn()),
+        ]
         self.pipeline_ = pykoop.KoopmanPipeline(lifting, pykoop.Edmd(alpha=self.alpha))
         table = np.vstack([np.hstack([np.full((len(x), 1), float(i)), x, u]) for i, (x, u) in enumerate(trajectories)])
         n, m = (part.shape[1] for part in trajectories[0])
@@ -41,7 +44,9 @@ class PykoopEdmd(Baseline):
         polynomial = self.pipeline_.lifting_functions_[0][1]
         powers = polynomial.transformer_.powers_[polynomial.transform_order_]
         of_states = ~powers[:, n:].any(axis=1)
-        self.lift_state_ = Monomial(np.vstack([powers[of_states, :n], np.zeros((1, n), dtype=int)]))  # the constant stands last among the states
+        self.lift_state_ = Monomial(
+            np.vstack([powers[of_states, :n], np.zeros((1, n), dtype=int)])
+        )  # the constant stands last among the states
         self.lift_input_ = Monomial(powers[~of_states])
         self.A_ = np.asarray(self.pipeline_.regressor_.coef_).T
         self.n_parameters_ = n * self.A_.shape[1] if self.relift else self.A_.size

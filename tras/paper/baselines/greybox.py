@@ -57,7 +57,11 @@ class GreyBox(Baseline):
         physical = [(x * self.x_scale_ + self.x_offset_, u * self.u_scale_ + self.u_offset_) for x, u in trajectories]
         start = _balance(physical, self.dt_)
         samples = min(round(self.seconds / self.dt_) + 1, max(len(x) for x, _ in physical))
-        pieces = [(x[k : k + samples], u[k : k + samples]) for x, u in physical for k in range(0, len(x) - samples + 1, samples - 1)][:: self.every]
+        pieces = [
+            (x[k : k + samples], u[k : k + samples])
+            for x, u in physical
+            for k in range(0, len(x) - samples + 1, samples - 1)
+        ][:: self.every]
         x, u = (np.stack(part) for part in zip(*pieces))
         self._x, self._u = x[:, 0].T, u.transpose(1, 2, 0)
         true = x.transpose(1, 2, 0) / self.x_scale_[:, None]
@@ -68,9 +72,23 @@ class GreyBox(Baseline):
         def slopes(factors, step=1e-5):
             moved = np.concatenate([factors[None], factors + step * np.eye(len(factors))])
             values = self._several(start * moved)
-            return np.nan_to_num((values[..., 1:, :] - values[..., :1, :]) / step).transpose(0, 1, 3, 2).reshape(-1, len(factors))
+            return (
+                np.nan_to_num((values[..., 1:, :] - values[..., :1, :]) / step)
+                .transpose(0, 1, 3, 2)
+                .reshape(-1, len(factors))
+            )
 
-        solution = optimize.least_squares(left, np.ones(len(start)), slopes, loss=self.loss, f_scale=0.01, bounds=(1e-3, 1e3), max_nfev=12, xtol=1e-10, ftol=1e-10)
+        solution = optimize.least_squares(
+            left,
+            np.ones(len(start)),
+            slopes,
+            loss=self.loss,
+            f_scale=0.01,
+            bounds=(1e-3, 1e3),
+            max_nfev=12,
+            xtol=1e-10,
+            ftol=1e-10,
+        )
         del self._x, self._u
         self.parameters_ = dict(zip(PARAMETER_NAMES, (start * solution.x).tolist()))
         self.n_parameters_ = len(self.parameters_)

@@ -42,7 +42,9 @@ class HammersteinWiener(Baseline):
         a, b, c = x[some], u[some], y[some]
         self.curve_ = np.zeros((n, self.output_degree - 1))
         if self.output_degree > 1:
-            solution = optimize.least_squares(lambda h: self._residual(h.reshape(n, -1), a, b, c), self.curve_.ravel(), max_nfev=30)
+            solution = optimize.least_squares(
+                lambda h: self._residual(h.reshape(n, -1), a, b, c), self.curve_.ravel(), max_nfev=30
+            )
             self.curve_ = solution.x.reshape(n, -1)
         self._solve(x, u, y)
         grid = np.linspace(-_REACH, _REACH, _POINTS)

@@ -51,7 +51,9 @@ def _regressors(trajectories, lags):
         parts[0].append(np.hstack([*last[0], *last[1]]))
         parts[1].append(np.diff(x[lags - 1 :], axis=0))
     if not parts[0]:
-        raise ValueError(f"no trajectory has more than {lags} samples, which {lags} lags need; record more or use fewer lags.")
+        raise ValueError(
+            f"no trajectory has more than {lags} samples, which {lags} lags need; record more or use fewer lags."
+        )
     return tuple(np.concatenate(part).T for part in parts)
 
 
@@ -85,7 +87,9 @@ class PolynomialNARX(_NARX):
 class _Polynomial:
     def __init__(self, z, change, powers, terms):
         if z.shape[1] < len(powers):
-            raise ValueError(f"there are {z.shape[1]} snapshot pairs for {len(powers)} terms; record more or choose a smaller degree.")
+            raise ValueError(
+                f"there are {z.shape[1]} snapshot pairs for {len(powers)} terms; record more or choose a smaller degree."
+            )
         features = Monomial(powers)(z)
         whole = np.linalg.qr(np.vstack([features, change]).T, mode="r")
         R, targets = whole[:, : len(powers)], whole[:, len(powers) :]
@@ -149,7 +153,12 @@ class NeuralNARX(_NARX):
 
     def _check_options(self):
         super()._check_options()
-        check("hidden", self.hidden, len(self.hidden) >= 1 and all(width >= 1 for width in self.hidden), "a tuple of whole numbers, for example (16,)")
+        check(
+            "hidden",
+            self.hidden,
+            len(self.hidden) >= 1 and all(width >= 1 for width in self.hidden),
+            "a tuple of whole numbers, for example (16,)",
+        )
         check("iterations", self.iterations, self.iterations >= 1, "a whole number, 1 or more")
 
     def _fit_map(self, z, change):

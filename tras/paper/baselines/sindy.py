@@ -36,13 +36,22 @@ class SINDy(Baseline):
 
     def _check_options(self):
         check("degree", self.degree, self.degree >= 1, "a whole number, 1 or more")
-        check("differentiation", self.differentiation, self.differentiation in DIFFERENTIATION, f"one of {', '.join(DIFFERENTIATION)}")
+        check(
+            "differentiation",
+            self.differentiation,
+            self.differentiation in DIFFERENTIATION,
+            f"one of {', '.join(DIFFERENTIATION)}",
+        )
         check("threshold", self.threshold, self.threshold >= 0, "a number that is not negative")
 
     def _learn(self, trajectories):
         import pysindy
 
-        methods = {"central": pysindy.FiniteDifference(), "smoothed": pysindy.SmoothedFiniteDifference(), "forward": pysindy.FiniteDifference(order=1, d=1)}
+        methods = {
+            "central": pysindy.FiniteDifference(),
+            "smoothed": pysindy.SmoothedFiniteDifference(),
+            "forward": pysindy.FiniteDifference(order=1, d=1),
+        }
         if min(len(x) for x, _ in trajectories) < 12:
             raise ValueError("a trajectory has fewer than 12 samples, too few to differentiate; leave it out.")
         model = pysindy.SINDy(
@@ -59,19 +68,25 @@ class SINDy(Baseline):
         if not len(self.input_names_):
             data.pop("u")
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that a threshold removes everything, or a matrix is ill-conditioned: the errors will say it
+            warnings.simplefilter(
+                "ignore"
+            )  # that a threshold removes everything, or a matrix is ill-conditioned: the errors will say it
             model.fit(t=self.dt_, **data)
         coefficients = np.asarray(model.coefficients())
         used = coefficients.any(axis=0)
         if not used.any():
-            raise ValueError(f"threshold is {self.threshold!r}, above every coefficient, so that nothing moves; choose a smaller one.")
+            raise ValueError(
+                f"threshold is {self.threshold!r}, above every coefficient, so that nothing moves; choose a smaller one."
+            )
         self.coefficients_, self.powers_ = coefficients[:, used], np.asarray(model.feature_library.powers_)[used]
         self.lift_ = Monomial(self.powers_)
         self.n_parameters_ = int(np.count_nonzero(self.coefficients_))
         x, u = (np.concatenate(part) for part in (states, inputs))
         some = np.linspace(0, len(x) - 1, min(len(x), 2000)).astype(int)
         with np.errstate(over="ignore", invalid="ignore"):
-            self.substeps_ = rollout.enough_substeps(self._field, x[some].T, u[some].T, self.dt_, tolerance=1e-6, most=8)
+            self.substeps_ = rollout.enough_substeps(
+                self._field, x[some].T, u[some].T, self.dt_, tolerance=1e-6, most=8
+            )
 
     def _field(self, point):
         return self.coefficients_ @ self.lift_(point)

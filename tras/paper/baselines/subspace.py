@@ -37,17 +37,32 @@ class N4SID(Baseline):
 
     def _learn(self, trajectories):
         i, n = self.horizon, trajectories[0][0].shape[1]
-        check("order", self.order, n <= self.order <= n * (i - 1), f"a whole number from {n}, the number of states, to {n * (i - 1)}")
+        check(
+            "order",
+            self.order,
+            n <= self.order <= n * (i - 1),
+            f"a whole number from {n}, the number of states, to {n * (i - 1)}",
+        )
         long = [(x, u) for x, u in trajectories if len(x) >= 2 * i]
         m = trajectories[0][1].shape[1]
-        y, u = (np.hstack([_hankel(part, 2 * i) for part in parts]) for parts in zip(*long)) if long else (np.empty((0, 0)),) * 2
+        y, u = (
+            (np.hstack([_hankel(part, 2 * i) for part in parts]) for parts in zip(*long))
+            if long
+            else (np.empty((0, 0)),) * 2
+        )
         if y.shape[1] < 2 * i * (n + m):
-            raise ValueError(f"the trajectories give {y.shape[1]} columns of {2 * i} samples, fewer than {2 * i * (n + m)}; record more or choose a smaller horizon.")
+            raise ValueError(
+                f"the trajectories give {y.shape[1]} columns of {2 * i} samples, fewer than {2 * i * (n + m)}; record more or choose a smaller horizon."
+            )
         states, later = self._states(y - y.mean(axis=1, keepdims=True), u - u.mean(axis=1, keepdims=True), i, n)
         known = np.vstack([y[i * n : (i + 1) * n], u[i * m : (i + 1) * m], np.ones((1, y.shape[1]))])
-        system = linalg.lstsq(np.vstack([states, known[n:]]).T, np.vstack([later, known[:n]]).T, check_finite=False)[0].T
+        system = linalg.lstsq(np.vstack([states, known[n:]]).T, np.vstack([later, known[:n]]).T, check_finite=False)[
+            0
+        ].T
         k = self.order
-        (self.A_, self.B_), (self.C_, self.D_) = ((rows[:, :k], rows[:, k:]) for rows in (system[:k], system[k:]))  # c and d are the last columns of B and D
+        (self.A_, self.B_), (self.C_, self.D_) = (
+            (rows[:, :k], rows[:, k:]) for rows in (system[:k], system[k:])
+        )  # c and d are the last columns of B and D
         self.B_[:, -1] = self._constant(y.mean(axis=1).reshape(2 * i, n)[i:], u.mean(axis=1).reshape(2 * i, m)[i:])
         self.start_ = linalg.lstsq(known.T, states.T, check_finite=False)[0].T
         self.n_parameters_ = system.size + (self.start_.size if k > n else 0)
@@ -58,7 +73,9 @@ class N4SID(Baseline):
         projected = _oblique(y[i * n :], u[i * m :], np.vstack([u[: i * m], y[: i * n]]), tolerance)
         U, s, _ = linalg.svd(projected @ projected.T, check_finite=False)
         gamma = U[:, : self.order] * s[: self.order] ** 0.25
-        shorter = _oblique(y[(i + 1) * n :], u[(i + 1) * m :], np.vstack([u[: (i + 1) * m], y[: (i + 1) * n]]), tolerance)
+        shorter = _oblique(
+            y[(i + 1) * n :], u[(i + 1) * m :], np.vstack([u[: (i + 1) * m], y[: (i + 1) * n]]), tolerance
+        )
         return linalg.pinv(gamma) @ projected, linalg.pinv(gamma[:-n]) @ shorter
 
     def _constant(self, y, u):
@@ -79,7 +96,9 @@ class N4SID(Baseline):
         def advance(state, now):  # the output needs the input of its own instant, which stands behind the state
             return np.concatenate([self.A_ @ state[:k] + self.B_ @ now, next(following)])
 
-        return rollout.roll_out(advance, np.concatenate([z, u[0]]), u, lambda state: self.C_ @ state[:k] + self.D_ @ state[k:])
+        return rollout.roll_out(
+            advance, np.concatenate([z, u[0]]), u, lambda state: self.C_ @ state[:k] + self.D_ @ state[k:]
+        )
 
 
 def _hankel(values, rows):

@@ -48,7 +48,14 @@ def horizon_figure(table):
     for (column, row), axes in panels.items():
         part = table[(table["input"] == column) & (table["angle"] == row)]
         part = part.assign(nrmse=part["nrmse"] / [linear.get((column, row, h), np.nan) for h in part["horizon"]])
-        _lines(axes, {name: ([horizons.index(h) for h in rows["horizon"]], rows["nrmse"], rows["diverged"]) for name, rows in part.groupby("method", sort=False)}, ticks)
+        _lines(
+            axes,
+            {
+                name: ([horizons.index(h) for h in rows["horizon"]], rows["nrmse"], rows["diverged"])
+                for name, rows in part.groupby("method", sort=False)
+            },
+            ticks,
+        )
     return figure
 
 
@@ -66,7 +73,10 @@ def data_figure(table):
     matplotlib.figure.Figure
     """
     require(table, "table", ["method", "input", "angle", "noise", "smoothed", "fraction", "nrmse", "diverged"])
-    table = table[table["input"] == (table.loc[table["noise"] > 0, "input"].iloc[0] if (table["noise"] > 0).any() else table["input"].iloc[0])]
+    table = table[
+        table["input"]
+        == (table.loc[table["noise"] > 0, "input"].iloc[0] if (table["noise"] > 0).any() else table["input"].iloc[0])
+    ]
     clean, whole = table[table["noise"] == 0], table[table["fraction"] == table["fraction"].max()]
     figure, panels = _panels(["share of the training data", "noise in the training data"], 5.6)
     for (column, row), axes in panels.items():
@@ -77,9 +87,16 @@ def data_figure(table):
         else:
             cases = sorted(set(zip(part["noise"], part["smoothed"])))
             at = [cases.index(pair) for pair in zip(part["noise"], part["smoothed"])]
-            ticks = ["none" if not level else f"{level:g} %, smoothed" if smoothed else f"{level:g} %" for level, smoothed in cases]
+            ticks = [
+                "none" if not level else f"{level:g} %, smoothed" if smoothed else f"{level:g} %"
+                for level, smoothed in cases
+            ]
         part = part.assign(at=np.asarray(at)).sort_values("at", kind="stable")
-        _lines(axes, {name: (rows["at"], rows["nrmse"], rows["diverged"]) for name, rows in part.groupby("method", sort=False)}, ticks)
+        _lines(
+            axes,
+            {name: (rows["at"], rows["nrmse"], rows["diverged"]) for name, rows in part.groupby("method", sort=False)},
+            ticks,
+        )
     return figure
 
 
@@ -137,7 +154,9 @@ def _panels(columns, height, label="NRMSE (%)"):
     """A wide figure: {(column, angle): axes}, one row per angle."""
     figure = Figure(figsize=(WIDE, height), layout="constrained")
     axes = figure.subplots(2, len(columns), sharex="col")
-    panels = {(column, angle): axes[i, j] for i, angle in enumerate(("yaw", "pitch")) for j, column in enumerate(columns)}
+    panels = {
+        (column, angle): axes[i, j] for i, angle in enumerate(("yaw", "pitch")) for j, column in enumerate(columns)
+    }
     for (column, angle), panel in panels.items():
         panel.set_title(f"{column}, {angle}")
         panel.set_ylabel(label)
@@ -155,7 +174,16 @@ def _lines(axes, curves, ticks):
             continue
         axes.plot(x[there], y[there], color=colour, linestyle=dashes, linewidth=0.8)
         for some, face in ((lost == 0, colour), (lost > 0, "white")):
-            axes.plot(x[there & some], y[there & some], marker=marker, color=colour, markerfacecolor=face, linestyle="none", markersize=4.5, markeredgewidth=0.7)
+            axes.plot(
+                x[there & some],
+                y[there & some],
+                marker=marker,
+                color=colour,
+                markerfacecolor=face,
+                linestyle="none",
+                markersize=4.5,
+                markeredgewidth=0.7,
+            )
         ends.append((name, x[there][-1], y[there][-1]))
     axes.set_yscale("log")
     axes.set_xticks(range(len(ticks)), ticks)
@@ -200,4 +228,6 @@ def _label(axes, ends):
             axes.annotate(f"{name} ({y:.1g})", (1.04, level), xycoords="axes fraction", **options)
             continue
         line = {"arrowstyle": "-", "color": colour, "linewidth": 0.4, "shrinkA": 0, "shrinkB": 2, "relpos": (0, 0.5)}
-        axes.annotate(name, (x, y), (1.08, level), xycoords="data", textcoords="axes fraction", arrowprops=line, **options)
+        axes.annotate(
+            name, (x, y), (1.08, level), xycoords="data", textcoords="axes fraction", arrowprops=line, **options
+        )

@@ -53,8 +53,12 @@ def _rig_arrows(axes, parts):
     for part, style in {"phi_zero": dashed, "beam_line": "-", "psi_zero": dashed, "psi_beam": "-"}.items():
         axes.plot(*parts[part].T, linestyle=style, **thin)
     for part, colour, width in [
-        ("phi_arc", PITCH_COLOUR, 0.9), ("u_phi", PITCH_COLOUR, 1.5), ("main_thrust", PITCH_COLOUR, 1.5),
-        ("psi_arc", YAW_COLOUR, 0.9), ("u_psi", YAW_COLOUR, 1.5), ("tail_thrust", YAW_COLOUR, 1.5),
+        ("phi_arc", PITCH_COLOUR, 0.9),
+        ("u_phi", PITCH_COLOUR, 1.5),
+        ("main_thrust", PITCH_COLOUR, 1.5),
+        ("psi_arc", YAW_COLOUR, 0.9),
+        ("u_psi", YAW_COLOUR, 1.5),
+        ("tail_thrust", YAW_COLOUR, 1.5),
     ]:
         _curved_arrow(axes, parts[part], colour, width)
 
@@ -82,9 +86,12 @@ def _rig_names(axes, parts):
     name("tail rotor, $m_t$", middle["tail_rotor"] + (0.0, 0.083))
     name("beam", (0.052, 0.097), ((0.055, 0.083), arm + (-0.023, 0.0)))
     name(
-        "counterweights,\neach of mass $m_{cw}$", far + (0.062, -0.004),
-        (far + (0.06, 0.008), far + (0.025, 0.005)), (far + (0.06, -0.022), near + (0.028, 0.0)),
-        ha="left", linespacing=1.0,
+        "counterweights,\neach of mass $m_{cw}$",
+        far + (0.062, -0.004),
+        (far + (0.06, 0.008), far + (0.025, 0.005)),
+        (far + (0.06, -0.022), near + (0.028, 0.0)),
+        ha="left",
+        linespacing=1.0,
     )
     name("pitch axis", parts["pitch_axis"][0] + (0.03, -0.02))
     name("yaw axis", parts["yaw_axis"][1] + (0.0, 0.015))
@@ -178,8 +185,12 @@ def method_figure(diagram):
 def _draw_panel(axes, panel):
     shade = {"state": "#f3f3f3", "lifted": "#dfe9f2"}[panel.name]
     box = FancyBboxPatch(
-        (panel.x, panel.y), panel.width, panel.height,
-        boxstyle="round,pad=0,rounding_size=0.06", facecolor=shade, linewidth=0,
+        (panel.x, panel.y),
+        panel.width,
+        panel.height,
+        boxstyle="round,pad=0,rounding_size=0.06",
+        facecolor=shade,
+        linewidth=0,
     )
     axes.add_patch(box)
     middle, top = panel.x + panel.width / 2, panel.y + panel.height
@@ -188,8 +199,14 @@ def _draw_panel(axes, panel):
 
 def _draw_node(axes, node):
     box = FancyBboxPatch(
-        (node.x - node.width / 2, node.y - node.height / 2), node.width, node.height,
-        boxstyle="round,pad=0,rounding_size=0.04", facecolor="white", edgecolor="black", linewidth=0.7, zorder=2,
+        (node.x - node.width / 2, node.y - node.height / 2),
+        node.width,
+        node.height,
+        boxstyle="round,pad=0,rounding_size=0.04",
+        facecolor="white",
+        edgecolor="black",
+        linewidth=0.7,
+        zorder=2,
     )
     axes.add_patch(box)
     axes.text(node.x, node.y + 0.075, node.text, ha="center", va="center", fontsize=9, zorder=3)
@@ -199,8 +216,16 @@ def _draw_node(axes, node):
 def _draw_arrow(axes, arrow, nodes):
     start, end = _ends(nodes.loc[arrow.start], nodes.loc[arrow.end])
     patch = FancyArrowPatch(
-        start, end, arrowstyle="-|>,head_length=0.4,head_width=0.18", mutation_scale=9, linestyle=arrow.linestyle,
-        color="black", linewidth=1.0, shrinkA=0, shrinkB=1, zorder=2,
+        start,
+        end,
+        arrowstyle="-|>,head_length=0.4,head_width=0.18",
+        mutation_scale=9,
+        linestyle=arrow.linestyle,
+        color="black",
+        linewidth=1.0,
+        shrinkA=0,
+        shrinkB=1,
+        zorder=2,
     )
     axes.add_patch(patch)
     level = start[1] == end[1]

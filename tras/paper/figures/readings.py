@@ -67,13 +67,34 @@ def nearest_figure(table, within):
     once = table[table["angle_names"] == "words"]
     for key, style in _MARKERS.items():
         group = once[(once["input"] == key[0]) & (once["frequency_unit"] == key[1])]
-        axes.plot(group["yaw"], group["pitch"], linestyle="none", label=f"{key[0]}, {key[1]}", markerfacecolor="none", markeredgewidth=0.7, **style)
+        axes.plot(
+            group["yaw"],
+            group["pitch"],
+            linestyle="none",
+            label=f"{key[0]}, {key[1]}",
+            markerfacecolor="none",
+            markeredgewidth=0.7,
+            **style,
+        )
     angle = np.linspace(0, 2 * np.pi, 200)
     for names, fill in (("words", "black"), ("symbols", "white")):
         yaw, pitch = target(names)
         reach = np.sqrt(2) * within  # the distance is a mean over two angles
-        axes.plot(yaw * np.exp(reach * np.cos(angle)), pitch * np.exp(reach * np.sin(angle)), color="0.4", linestyle=":", linewidth=0.8)
-        star = {"marker": "*", "markersize": 9, "markerfacecolor": fill, "markeredgecolor": "black", "linestyle": "none", "zorder": 4}
+        axes.plot(
+            yaw * np.exp(reach * np.cos(angle)),
+            pitch * np.exp(reach * np.sin(angle)),
+            color="0.4",
+            linestyle=":",
+            linewidth=0.8,
+        )
+        star = {
+            "marker": "*",
+            "markersize": 9,
+            "markerfacecolor": fill,
+            "markeredgecolor": "black",
+            "linestyle": "none",
+            "zorder": 4,
+        }
         axes.plot(yaw, pitch, label=f"the paper, angles by its {names}", **star)
     axes.set(xscale="log", yscale="log", xlabel="NRMSE of yaw (%)", ylabel="NRMSE of pitch (%)")
     for axis in (axes.xaxis, axes.yaxis):

@@ -11,7 +11,12 @@ METHOD_NAMES = {
     "refined": "smoothed and refined",
 }
 _METHOD_MARKERS = ("o", "s", "^", "D")
-DICTIONARY_NAMES = {"linear": "linear", "monomials2": "monomials, degree 2", "monomials3": "monomials, degree 3", "mechanical": "mechanical"}
+DICTIONARY_NAMES = {
+    "linear": "linear",
+    "monomials2": "monomials, degree 2",
+    "monomials3": "monomials, degree 3",
+    "mechanical": "mechanical",
+}
 
 
 @styled()
@@ -33,7 +38,9 @@ def noise_figure(table):
     for panel, angle in zip(axes, ("yaw", "pitch")):
         rows = table[table["angle"] == angle]
         for (method, group), marker in zip(rows.groupby("method", sort=False), _METHOD_MARKERS):
-            of = group.groupby("noise")["nrmse"].agg(["min", "median", "max"]).reindex(levels)  # a gap where no run gave a model
+            of = (
+                group.groupby("noise")["nrmse"].agg(["min", "median", "max"]).reindex(levels)
+            )  # a gap where no run gave a model
             at = range(len(levels))
             (line,) = panel.semilogy(at, of["median"], marker=marker, label=METHOD_NAMES.get(method, method))
             panel.vlines(at, of["min"], of["max"], color=line.get_color(), linewidth=0.8)
@@ -61,14 +68,21 @@ def length_figure(table):
     """
     require(table, "table", ["fit", "dictionary", "noise", "ratio", "failed"])
     fits, levels = list(dict.fromkeys(table["fit"])), sorted(table["noise"].unique())
-    figure, axes = new_figure(height=0.9 + 1.25 * len(fits), rows=len(fits), columns=len(levels), squeeze=False, sharey=True)
+    figure, axes = new_figure(
+        height=0.9 + 1.25 * len(fits), rows=len(fits), columns=len(levels), squeeze=False, sharey=True
+    )
     names = list(dict.fromkeys(table["dictionary"]))
     for row, fit in zip(axes, fits):
         for panel, level in zip(row, levels):
             rows = table[(table["fit"] == fit) & (table["noise"] == level)]
             for i, name in enumerate(names):
                 line = rows[rows["dictionary"] == name]
-                panel.plot(line["ratio"], 100 * line["failed"], marker=_METHOD_MARKERS[i % 4], label=DICTIONARY_NAMES.get(name, name))
+                panel.plot(
+                    line["ratio"],
+                    100 * line["failed"],
+                    marker=_METHOD_MARKERS[i % 4],
+                    label=DICTIONARY_NAMES.get(name, name),
+                )
             panel.set_title(f"{METHOD_NAMES.get(fit, fit).split(' (')[0]}, {level:g} % noise")
             panel.set(xscale="log", xlim=(0.8 * table["ratio"].min(), 1.25 * table["ratio"].max()), ylim=(-5, 105))
             panel.xaxis.set_major_formatter("{x:g}")
@@ -102,7 +116,9 @@ def eigenfunctions_figure(table):
     for panel, (_, group) in zip(axes[0], groups):
         grid = group.pivot(index="psi", columns="phi", values="real")
         filled = panel.contourf(grid.columns, grid.index, grid, levels=levels, cmap="RdBu_r")
-        lines = panel.contour(grid.columns, grid.index, grid, levels=levels, colors="0.2", linewidths=0.5)  # dashed below zero
+        lines = panel.contour(
+            grid.columns, grid.index, grid, levels=levels, colors="0.2", linewidths=0.5
+        )  # dashed below zero
         lines.set_linewidth(np.where(levels == 0, 1.4, 0.5))
         rate, frequency = group[["rate", "frequency"]].iloc[0]
         panel.set_title(f"{rate:.3f} ± {frequency:.3f} i (1/s)".replace("-", "\N{MINUS SIGN}"))
