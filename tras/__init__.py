@@ -8,7 +8,7 @@ import importlib
 
 __version__ = "0.1.0"
 
-# Public name -> module that holds it. `tras/workflow/staleness.py` reads this table too: keep it a plain dict of strings.
+# Public name -> module that holds it. `workflow/staleness.py` reads this table too: keep it a plain dict of strings.
 _ROOMS = {
     "PlantParameters": "twin_rotor.plant",
     "PrintedPlant": "twin_rotor.plant",

@@ -14,7 +14,8 @@ from tras.recording import Recording, join
 class Channels:
     """Names, units, sampling time and scale of each channel: its middle becomes 0, the ends of its range -1 and 1.
 
-    ``delays`` earlier samples of the states count as states too (z, newest first), and those of the inputs if ``delayed_inputs``.
+    ``delays`` earlier samples of the states count as states too (z, newest first), and those of the inputs if
+    ``delayed_inputs``.
     """
 
     dt: float
@@ -96,13 +97,15 @@ class Channels:
         offset, m = self.z_offset, len(self.input_names)
         if x.ndim == 0 or x.shape[-1] != len(offset) or u.shape != (*x.shape[:-1], m):
             raise ValueError(
-                f"x has shape {x.shape} and u {u.shape}; give (..., {len(offset)}) and (..., {m}) with the same leading axes."
+                f"x has shape {x.shape} and u {u.shape}; give (..., {len(offset)}) and (..., {m}) "
+                "with the same leading axes."
             )
         return (x - offset) / self.z_scale, (u - self.u_offset) / self.u_scale
 
 
 class Estimator(BaseEstimator):
-    """An identified model of scaled channels: the base of `tras.KoopmanModel` and of the methods that it is compared with.
+    """An identified model of scaled channels: the base of `tras.KoopmanModel` and of the methods that it is compared
+    with.
 
     A subclass sets ``channels_`` in its ``fit`` and supplies
 
@@ -130,14 +133,16 @@ class Estimator(BaseEstimator):
         Parameters
         ----------
         x0 : (..., n) array_like
-            With delays the first ``delays + 1`` samples, (..., delays + 1, n); the prediction starts at the last of them.
+            With delays the first ``delays + 1`` samples, (..., delays + 1, n); the prediction starts at the last of
+            them.
         inputs : (..., samples, m) array_like
             From the first sample of ``x0`` on. ``m = 0`` (autonomous): an empty array of shape (samples, 0).
 
         Returns
         -------
         (..., samples, n) ndarray
-            Begins with ``x0``. A prediction that leaves the training data's range a thousandfold is abandoned: NaN from there on.
+            Begins with ``x0``. A prediction that leaves the training data's range a thousandfold is abandoned: NaN from
+            there on.
 
         Raises
         ------
@@ -218,7 +223,8 @@ def checked(ranges: dict | None, recording) -> dict | None:
             ) from None
         if not (np.isfinite([low, high]).all() and low < high):
             raise ValueError(
-                f"ranges has ({low:g}, {high:g}) for the channel {name!r}; give two finite numbers, the lower one first."
+                f"ranges has ({low:g}, {high:g}) for the channel {name!r}; "
+                "give two finite numbers, the lower one first."
             )
         pairs[name] = low, high
     return pairs
@@ -232,7 +238,7 @@ def _middle_and_half(ranges, names):
     if constant.any():
         i = int(np.argmax(constant))
         raise ValueError(
-            f"channel {names[i]!r} is constant ({low[i]:g}) over the whole recording: nothing can be learnt about it; leave it out "
-            "with recording.select(...)."
+            f"channel {names[i]!r} is constant ({low[i]:g}) over the whole recording: "
+            "nothing can be learnt about it; leave it out with recording.select(...)."
         )
     return (high + low) / 2, half

@@ -1,7 +1,7 @@
-"""What a fit knows while it reads snapshot pairs: scales, fitted dictionary, the rows of the least-squares problem, the hull.
+"""What a fit knows while it reads snapshot pairs: scales, dictionary, rows of the least-squares problem, hull.
 
-A `Fit` begins with a first recording and absorbs any number of others; `tras.KoopmanModel` solves it. What it knows of the rows is a dict of
-plain arrays (`Fit.state`): a checkpoint stores it, and workers send it to be merged.
+A `Fit` begins with a first recording and absorbs any number of others; `tras.KoopmanModel` solves it. What it knows of
+the rows is a dict of plain arrays (`Fit.state`): a checkpoint stores it, and workers send it to be merged.
 """
 
 import copy
@@ -62,9 +62,8 @@ class Fit:
         x, u = (np.concatenate(part) for part in zip(*new.channels.scaled(recording)))
         new.lifts_inputs, new.rows = predictor.lifts_inputs, predictor.rows(options.columns)
         new.dictionary = clone(options.dictionary).fit(x, u if new.lifts_inputs else None)
-        new.names = new.dictionary.feature_names(
-            new.channels.z_names + new.lifts_inputs * list(new.channels.input_names)
-        )
+        lifted = new.channels.z_names + new.lifts_inputs * list(new.channels.input_names)
+        new.names = new.dictionary.feature_names(lifted)
         new.confines = options.extrapolation == "linear" and new.lifts_inputs and new.tail > 0
         new.chooses = options.regularization is not None and options.strength == "auto" and new.tail > 0
         held = len(u) < 2 or np.mean((u[1:] == u[:-1]).all(axis=1)) > 0.5
@@ -81,21 +80,16 @@ class Fit:
     @property
     def tail(self) -> int:
         """Number of functions behind constant, states and inputs."""
-        return (
-            len(self.names) - len(self.dictionary.coordinates) - 1 - self.lifts_inputs * len(self.channels.input_names)
-        )
+        inputs = self.lifts_inputs * len(self.channels.input_names)
+        return len(self.names) - 1 - len(self.dictionary.coordinates) - inputs
 
     def absorb(self, scaled, threads=None, most=None):
         """All snapshot pairs of scaled trajectories, or the first ``most`` blocks of them."""
-        blocks = koopman.snapshot_pairs(
-            scaled, koopman.block_size(self.dictionary), deal=koopman.SUIT if self.shares else 1
-        )
-        blocks = map(self._widen_hull, itertools.islice(blocks, most))
-        lift, regressors = (
-            koopman.lifting(self.dictionary, self.rows),
-            koopman.regressors_alone(self.dictionary, self.rows),
-        )
-        self.solver.update_lifted(blocks, lift, threads or processors(), regressors)
+        size, deal = koopman.block_size(self.dictionary), koopman.SUIT if self.shares else 1
+        blocks = itertools.islice(koopman.snapshot_pairs(scaled, size, deal), most)
+        both = koopman.lifting(self.dictionary, self.rows)
+        regressors = koopman.regressors_alone(self.dictionary, self.rows)
+        self.solver.update_lifted(map(self._widen_hull, blocks), both, threads or processors(), regressors)
 
     def _widen_hull(self, block):
         if self.confines:
@@ -147,9 +141,8 @@ class Fit:
         n, head = len(self.dictionary.coordinates), self._head(least_squares)
         states = slice(None) if self.rows is koopman.state_rows else slice(1, 1 + n)
         change = np.zeros((head, 1 + n))
-        change[:, 1:] = linalg.solve_triangular(
-            least_squares.R[:head, :head], least_squares.rotated[:head, states], check_finite=False
-        )
+        R, rotated = least_squares.R[:head, :head], least_squares.rotated[:head, states]
+        change[:, 1:] = linalg.solve_triangular(R, rotated, check_finite=False)
         return outward_rates(change, n, self.channels.dt, len(self.channels.state_names))
 
     def _head(self, least_squares):
@@ -173,15 +166,12 @@ def rows_and_hull(state, confined=None) -> tuple[StreamingLeastSquares | None, H
 
 
 def hold_out(recording):
-    """Every fifth trajectory apart, cut into windows of equal length: (the rest, those); all pairs stay in one of the two.
+    """(The rest, every fifth trajectory cut into windows of equal length); every pair is in one of the two.
 
     With fewer than five trajectories each is cut first. (recording, None) if there is too little to hold anything out.
     """
-    parts = (
-        recording
-        if len(recording) >= 5
-        else recording.cut_all(max(2, -(-int(recording.lengths.max() - 1) // (5 + 1)) + 1))
-    )
+    sixth = -(-int(recording.lengths.max() - 1) // 6)
+    parts = recording if len(recording) >= 5 else recording.cut_all(max(2, sixth + 1))
     if len(parts) < 5 or np.median(parts.lengths) < 10:
         return recording, None
     fifth = np.arange(len(parts)) % 5 == 4

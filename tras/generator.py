@@ -40,19 +40,23 @@ def principal_logarithm(K):
     Raises
     ------
     LogarithmError
-        If an eigenvalue lies on the closed negative real axis to working precision. The paper's condition ("non-negative real
-        parts") is not the right one: complex eigenvalues with negative real part do no harm, a zero eigenvalue does.
+        If an eigenvalue lies on the closed negative real axis to working precision. The paper's condition
+        ("non-negative real parts") is not the right one: complex eigenvalues with negative real part do no harm, a zero
+        eigenvalue does.
     """
     K = np.asarray(K, dtype=float)
     eigenvalues = linalg.eigvals(K)
     distance = branch_distance(eigenvalues)
     worst = complex(eigenvalues[int(np.argmin(distance))])
-    advice = "use more data, a shorter sampling time or a smaller dictionary, or predictor='one_step', which needs no logarithm."
+    advice = (
+        "use more data, a shorter sampling time or a smaller dictionary, "
+        "or predictor='one_step', which needs no logarithm."
+    )
     if distance.min() <= len(K) * np.finfo(float).eps * np.abs(eigenvalues).max():
         shown = f"{worst.real:.6g}" if worst.imag == 0 else f"{worst:.6g}"
         raise LogarithmError(
-            f"the Koopman matrix has the eigenvalue {shown}, to working precision on the closed negative real axis, where no principal "
-            f"logarithm exists: {advice}",
+            f"the Koopman matrix has the eigenvalue {shown}, to working precision on the closed negative real axis, "
+            f"where no principal logarithm exists: {advice}",
             worst,
         )
     with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -65,8 +69,8 @@ def principal_logarithm(K):
             residual = np.inf
     if not residual <= 1e-8:  # NaN included
         raise LogarithmError(
-            f"the logarithm of the Koopman matrix cannot be computed accurately (relative residual {residual:.1e}): its eigenvalue {worst:.6g} "
-            f"is too close to the closed negative real axis, {advice}",
+            f"the logarithm of the Koopman matrix cannot be computed accurately (relative residual {residual:.1e}): "
+            f"its eigenvalue {worst:.6g} is too close to the closed negative real axis, {advice}",
             worst,
         )
     return logarithm, residual
@@ -74,8 +78,7 @@ def principal_logarithm(K):
 
 @contextlib.contextmanager
 def _same_draws():
-    """NumPy's global generator seeded, and put back: SciPy's logm estimates norms with it, and now and then another estimate leads
-    to another number of square roots, hence other last bits."""
+    """NumPy's global generator, seeded and put back: SciPy's logm estimates norms with it, which may move last bits."""
     state = np.random.get_state()
     np.random.seed(0)
     try:
@@ -97,9 +100,9 @@ def field_by_coordinates(A, dictionary):
 def field_by_least_squares(A, dictionary, recording, R):
     """W (n, N) of ``F(x, u) = W psi(x, u)`` from equation (18), over all data points.
 
-    Minimises the sum over the points of ``|(d psi / d x) W psi - A^T psi|^2``, one equation per function and point. With
-    ``q = R^-T psi`` the unknown is V = W R^T, and the matrix of its normal equations, the sum of ``(J^T J) kron (q q^T)`` with
-    J = d psi / d x, is as well conditioned as ``J^T J``: the ill-conditioning of Psi stays out of it.
+    Minimises the sum over the points of ``|(d psi / d x) W psi - A^T psi|^2``, one equation per function and point.
+    With ``q = R^-T psi`` the unknown is V = W R^T, and the matrix of its normal equations, the sum of ``(J^T J) kron (q
+    q^T)`` with J = d psi / d x, is as well conditioned as ``J^T J``: the ill-conditioning of Psi stays out of it.
 
     Parameters
     ----------
@@ -117,7 +120,8 @@ def field_by_least_squares(A, dictionary, recording, R):
         q = blas.dtrsm(1.0, R, psi.T, side=1).T
         rate = A.T @ psi
         B += np.stack([np.einsum("jp,jp->p", J[:, i], rate) for i in range(n)]) @ q.T
-        # With J_i the i-th column, J_i.J_k = (|J_i + J_k|^2 - |J_i|^2 - |J_k|^2) / 2: sums of squares cost half as much as products.
+        # With J_i the i-th column, J_i.J_k = (|J_i + J_k|^2 - |J_i|^2 - |J_k|^2) / 2: sums of squares cost half as much
+        # as products.
         for i in range(n):
             for k in range(i + 1):
                 slope = J[:, i] if i == k else J[:, i] + J[:, k]

@@ -7,17 +7,20 @@ from scipy import linalg
 class Hull:
     """The box around the training data, along their principal axes, a quarter of the half-range wider on each side.
 
-    Beyond it a dictionary is guesswork: monomials explode, Gaussians vanish. There the model's functions are evaluated at the nearest point of
-    the box, P(z), and the rest of the way is linear: ``F(z) = W psi(P z) + S (z - P z)``. Inside nothing changes.
+    Beyond it a dictionary is guesswork: monomials explode, Gaussians vanish. There the model's functions are evaluated
+    at the nearest point of the box, P(z), and the rest of the way is linear: ``F(z) = W psi(P z) + S (z - P z)``.
+    Inside nothing changes.
 
-    With S Hurwitz in the states this is a stable linear system driven by a bounded term, so every prediction under bounded inputs stays
-    bounded (H. K. Khalil, *Nonlinear Systems*, 3rd ed., Thm. 5.1), as long as all channels are confined.
+    With S Hurwitz in the states this is a stable linear system driven by a bounded term, so every prediction under
+    bounded inputs stays bounded (H. K. Khalil, *Nonlinear Systems*, 3rd ed., Thm. 5.1), as long as all channels are
+    confined.
 
     Parameters
     ----------
     z : (channels, points) ndarray
     confined : sequence of int, optional
-        Channels that are held in the box, along their own axes, for a dictionary that is sound beyond the data in the others.
+        Channels that are held in the box, along their own axes, for a dictionary that is sound beyond the data in the
+        others.
     """
 
     margin = 0.25
@@ -81,15 +84,16 @@ class Hull:
 
 
 def outward_rates(change, n, dt, newest):
-    """S (n, n + m) in 1/s beyond the hull: the linear model's, shifted until its slowest mode decays as fast as its fastest one moves.
+    """S (n, n + m) in 1/s beyond the hull: the linear model's, shifted until its slowest mode decays as fast as its
+    fastest one moves.
 
     Parameters
     ----------
     change : (1 + n + m, 1 + n + m) ndarray
         D = K - I of the linear model: constant, states, inputs. ``D / dt`` is good enough here for its logarithm.
     newest : int
-        The first so many of the n states are the present ones. Delayed ones are shifted, not predicted; that they are far out tells the
-        present ones nothing here, or the shift could undo the damping.
+        The first so many of the n states are the present ones. Delayed ones are shifted, not predicted; that they are
+        far out tells the present ones nothing here, or the shift could undo the damping.
     """
     S = change[1:, 1 : 1 + n].T / dt
     S[newest:], S[:, newest:n] = 0, 0

@@ -1,8 +1,9 @@
 """The Koopman matrix: K = Psi_x^+ Psi_y by least squares over all snapshot pairs (paper, (9)-(14)).
 
-The pairs stream through `tras.solver.least_squares` in blocks: memory does not grow with the number of samples, and coefficients are as good as those
-of a QR decomposition or better. The fit is of the change D = K - I, because ``psi(y) - psi(x)`` is small and K near the identity: rounding errors are
-relative to D, which is what the logarithm needs, and functions that do not change (the constant, the inputs) get exactly zero.
+The pairs stream through `tras.solver.least_squares` in blocks: memory does not grow with the number of samples, and
+coefficients are as good as those of a QR decomposition or better. The fit is of the change D = K - I, because ``psi(y)
+- psi(x)`` is small and K near the identity: rounding errors are relative to D, which is what the logarithm needs, and
+functions that do not change (the constant, the inputs) get exactly zero.
 """
 
 import threading
@@ -48,8 +49,8 @@ def _hand(pairs, k, hands, lot):
     """Index of the pairs that are dealt to hand ``k``."""
     if lot == 1:
         return slice(k, None, hands)
-    some = (np.arange(k * lot, pairs, hands * lot)[:, None] + np.arange(lot)).ravel()
-    return some[some < pairs]
+    indices = (np.arange(k * lot, pairs, hands * lot)[:, None] + np.arange(lot)).ravel()
+    return indices[indices < pairs]
 
 
 def _stretches(recording, size):
@@ -73,10 +74,10 @@ def _joined(parts):
 
 
 def rows(dictionary, x, u, y, buffer=None):
-    """Regressors ``psi(x, u)`` and targets ``psi(y, u) - psi(x, u)`` of pairs; the same ``u`` in both. (pairs, N) both, column by column.
+    """Regressors ``psi(x, u)`` and targets ``psi(y, u) - psi(x, u)`` of pairs, (pairs, N) each, column by column.
 
-    Where a pair begins at the end of the one before it, under the same input (there is none, or it was held), its lifting serves both.
-    ``buffer(number, rows, columns)`` supplies the memory.
+    Where a pair begins at the end of the one before it, under the same input (there is none, or it was held), its
+    lifting serves both. ``buffer(number, rows, columns)`` supplies the memory.
     """
     z, _ = dictionary.points(x, u)
     N, pairs, buffer = dictionary.size, len(x), buffer or _fresh
@@ -94,7 +95,7 @@ def rows(dictionary, x, u, y, buffer=None):
 
 
 def lifted_linear_rows(dictionary, x, u, y, buffer=None):
-    """The same for ``psi(y) = A psi(x) + B u`` (M. Korda and I. Mezic, Automatica 93, 2018, 149), the inputs behind the states."""
+    """The same for ``psi(y) = A psi(x) + B u`` (Korda and Mezic 2018), the inputs behind the states."""
     before, change = rows(dictionary, x, np.empty((len(x), 0)), y, buffer)
     head, m = 1 + x.shape[1], u.shape[1]
     regressors = (buffer or _fresh)(2, before.shape[1] + m, len(x))
@@ -103,7 +104,7 @@ def lifted_linear_rows(dictionary, x, u, y, buffer=None):
 
 
 def state_rows(dictionary, x, u, y, buffer=None):
-    """Regressors ``psi(x, u)`` and the states' change ``y - x`` alone: what one step ahead needs, at two fifths of the operations."""
+    """Regressors ``psi(x, u)`` and the states' change ``y - x`` alone: enough for one step, at 2/5 of the cost."""
     z, _ = dictionary.points(x, u)
     change = np.subtract(y.T, x.T, out=(buffer or _fresh)(1, x.shape[1], len(x)))
     return dictionary.lift(z, out=(buffer or _fresh)(0, dictionary.size, len(x))).T, change.T
@@ -162,11 +163,10 @@ def check_head(fit, head):
     """Channels that are linear combinations of each other are a fault of the recording, not of the dictionary."""
     if fit.rows < head:
         fit.require_full_rank()
-    singular = np.linalg.svd(fit.R[:head, :head] / np.linalg.norm(fit.R[:head, :head], axis=0), compute_uv=False)
+    _, singular, right = np.linalg.svd(fit.R[:head, :head] / np.linalg.norm(fit.R[:head, :head], axis=0))
     if singular[-1] <= singular[0] * 4 * np.finfo(float).eps * fit.rows**0.5:
-        right = np.linalg.svd(fit.R[:head, :head] / np.linalg.norm(fit.R[:head, :head], axis=0))[2][-1]
-        names = [name for name, c in zip(fit.names, right) if abs(c) > 1e-6 and name != "1"]
+        names = [name for name, c in zip(fit.names, right[-1]) if abs(c) > 1e-6 and name != "1"]
         raise ValueError(
-            f"the channels {', '.join(names)} are linearly dependent over the whole recording: leave one out with recording.select(...), "
-            "use fewer delays, or record data that move each by itself."
+            f"the channels {', '.join(names)} are linearly dependent over the whole recording: leave one out with "
+            "recording.select(...), use fewer delays, or record data that move each by itself."
         )

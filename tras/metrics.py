@@ -1,8 +1,9 @@
 """How far a prediction is from the truth: Enr (19), BFR (20), NRMSE (21), divergence; `judge` gives all of them.
 
-Every function takes truth and prediction of shape (..., samples, n), or two lists of (samples_i, n) when lengths differ, and
-returns one value per channel, over all trajectories and samples together. Only `judge` leaves diverged predictions out,
-and counts them. Shapes that differ, no trajectory at all, and NaN or infinity in the truth are a ValueError.
+Every function takes truth and prediction of shape (..., samples, n), or two lists of (samples_i, n) when lengths
+differ, and returns one value per channel, over all trajectories and samples together. Only `judge` leaves diverged
+predictions out, and counts them. Shapes that differ, no trajectory at all, and NaN or infinity in the truth are a
+ValueError.
 """
 
 from dataclasses import dataclass
@@ -47,11 +48,11 @@ def judge(true, predicted, *, span=None, channels=None, range_over="all"):
     span = np.ptp(np.concatenate(true), axis=0) if span is None else _span(span, true)
     lost = diverged(true, predicted, span=span)
     channels = slice(None) if channels is None else channels
-    kept = [(t[:, channels], p[:, channels]) for t, p, gone in zip(true, predicted, lost) if not gone]
-    if not kept:
+    pairs = [(t[:, channels], p[:, channels]) for t, p, gone in zip(true, predicted, lost) if not gone]
+    if not pairs:
         none = np.full_like(span[channels], np.nan)
         return Scores(none, none, none, len(lost), len(lost))
-    true, predicted = zip(*kept)
+    true, predicted = zip(*pairs)
     error, size, spread = _norms(true, predicted)
     if range_over == "all":
         normalized = _percent(np.concatenate(true) - np.concatenate(predicted), divisor(span[channels]))
@@ -89,8 +90,8 @@ def nrmse(true, predicted, *, range_over="all", span=None):
     ----------
     true, predicted : array_like
     range_over : {"all", "trajectory"}
-        Where ``y_max - y_min`` is taken: over all trajectories (default), or over each by itself, the NRMSE of all then being
-        the root mean square of the trajectories' own.
+        Where ``y_max - y_min`` is taken: over all trajectories (default), or over each by itself, the NRMSE of all then
+        being the root mean square of the trajectories' own.
     span : (n,) array_like, optional
         The range itself, when ``true`` is only a part of the truth that it belongs to; with ``range_over="all"``.
     """
@@ -115,9 +116,10 @@ def nrmse(true, predicted, *, range_over="all", span=None):
 def diverged(true, predicted, *, factor=10.0, span=None):
     """Which predictions have left for good: (trajectories,) bool.
 
-    A trajectory has diverged if its prediction holds NaN or infinity anywhere, or if its error somewhere exceeds ``factor`` times
-    the range of the truth over all trajectories, in any channel. ``span`` (n,) is used as the range if given. A channel whose
-    range is zero is compared with the largest absolute value of its truth instead, and one that is zero throughout with 1.
+    A trajectory has diverged if its prediction holds NaN or infinity anywhere, or if its error somewhere exceeds
+    ``factor`` times the range of the truth over all trajectories, in any channel. ``span`` (n,) is used as the range if
+    given. A channel whose range is zero is compared with the largest absolute value of its truth instead, and one that
+    is zero throughout with 1.
     """
     true, predicted = _pair(true, predicted)
     together = np.concatenate(true)
@@ -158,12 +160,14 @@ def _trajectories(name, values):
             raise ValueError(f"{name} has shape {values.shape}: it holds no sample; give one trajectory or more.")
         if values.ndim < 2:
             raise ValueError(
-                f"{name} has shape {values.shape}, no set of trajectories; give (..., samples, n) or a list of (samples, n)."
+                f"{name} has shape {values.shape}, no set of trajectories; "
+                "give (..., samples, n) or a list of (samples, n)."
             )
         values = list(values.reshape(-1, *values.shape[-2:]))
     if len({value.shape[1] for value in values}) > 1 or min(value.size for value in values) == 0:
         raise ValueError(
-            f"{name} holds trajectories without samples or with unequal numbers of channels; give a list of (samples, n)."
+            f"{name} holds trajectories without samples or with unequal numbers of channels; "
+            "give a list of (samples, n)."
         )
     return values
 
@@ -174,7 +178,7 @@ def _pair(true, predicted):
     shapes = [t.shape for t in true], [p.shape for p in predicted]
     if shapes[0] != shapes[1]:
         raise ValueError(
-            f"true and predicted have different shapes ({_some(shapes[0])} and {_some(shapes[1])}); compare like with like."
+            f"true and predicted have different shapes ({_some(shapes[0])} and {_some(shapes[1])}); compare equal ones."
         )
     if not np.isfinite(np.concatenate(true)).all():
         i, t = next((i, t) for i, t in enumerate(true) if not np.isfinite(t).all())
@@ -198,12 +202,12 @@ def _some(shapes):
 def _positive(scale, what):
     if np.any(scale == 0):
         raise ValueError(
-            f"channel {int(np.argmin(scale))}: {what}, so there is nothing to relate the error to; leave the channel out."
+            f"channel {int(np.argmin(scale))}: {what}, so the error has nothing to relate to; leave the channel out."
         )
     return scale
 
 
 def multi_step_error(predicted, held, n):
-    """Root mean square of roll-outs (samples, n', trajectories) against scaled trajectories; a sample counts 10 at most, NaN too."""
+    """Root mean square of roll-outs (samples, n', trajectories) in half-ranges; a sample counts 10 at most."""
     error = np.abs(predicted[:, :n].transpose(2, 0, 1) - held.states[..., :n])
     return float(np.sqrt(np.mean(np.minimum(np.nan_to_num(error, nan=10.0), 10.0) ** 2)))

@@ -6,8 +6,7 @@ import numpy as np
 from scipy import linalg
 from sklearn.base import clone
 
-from tras import model_file as storage
-from tras import summary
+from tras import model_file, summary
 from tras.dictionaries.base import Dictionary
 from tras.estimator import Estimator
 from tras.hull import over_a_sample
@@ -15,6 +14,7 @@ from tras.large import streaming
 from tras.metrics import multi_step_error
 from tras.predictors import PREDICTORS
 from tras.regularization import METHODS, STRENGTHS
+from tras.workflow import arguments
 
 OPTIONS = {
     "predictor": tuple(PREDICTORS),
@@ -23,61 +23,62 @@ OPTIONS = {
     "extrapolation": ("linear", "functions"),
     "columns": ("all", "states"),
 }
+_LEARNT = ("koopman_matrix", "generator", "condition_number")  # by a fit, beside what ends in an underscore
 
 
 class KoopmanModel(Estimator):
     """A model identified by extended dynamic mode decomposition (EDMD).
 
-    Channels are scaled to [-1, 1] over the training data, lifted by the dictionary, and the Koopman matrix K is fitted to all
-    snapshot pairs (14). Then, by ``predictor``:
+    Channels are scaled to [-1, 1] over the training data and lifted by the dictionary, and the Koopman matrix K is
+    fitted to all snapshot pairs (14). Then, by ``predictor`` (see `tras.predictors`):
 
     ``"vector_field"``
-        The paper's three steps: A = log(K) / dt (15), ``F(x, u) = W psi(x, u)``, and F is integrated, the input held over each
-        sample.
+        The paper's three steps: A = log(K) / dt (15), ``F(x, u) = W psi(x, u)``, and F is integrated while the input is
+        held.
     ``"one_step"``
-        The states' columns of K give the next state; it is lifted again at each sample. Needs no logarithm.
+        The states' columns of K give the next state, which is lifted again. Needs no logarithm.
     ``"lifted_linear"``
-        The dictionary is of the states alone; they are lifted once and then ``z+ = A z + B u`` (Korda and Mezic 2018). Linear, so
-        ready for linear control, but it cannot represent products of states and inputs.
+        The dictionary is of the states alone; they are lifted once and then ``z+ = A z + B u``. Ready for linear
+        control, but it cannot represent products of states and inputs.
 
     Parameters
     ----------
     dictionary : Dictionary
-        For example ``Mechanical()`` for a mechanical system whose torques are known, ``Monomials(2)`` or ``GaussianRBF(100, width="auto",
-        centres="kmeans")`` for one of which nothing is known. It is cloned, never changed.
+        For example ``Mechanical()`` for a mechanical system whose torques are known, ``Monomials(2)`` or
+        ``GaussianRBF(100, width="auto", centres="kmeans")`` for an unknown one. It is cloned, never changed.
     predictor : {"vector_field", "one_step", "lifted_linear"}
     delays : int
-        Earlier samples of the states that count as states too, for recordings in which not all states are measured. The discrete
-        predictors also take the earlier inputs; with ``vector_field`` they cannot (they would have the eigenvalue zero).
+        Number of earlier samples of the states that count as states too, for recordings in which not all states are
+        measured. The discrete predictors also take the earlier inputs.
     field : {"coordinates", "least_squares"}
-        How W is had from A for ``vector_field``: from the states' columns of A, or from equation (18) over all points, as in the
-        paper. They agree where the dictionary's span is invariant (with ``least_squares``, ``field_disagreement_`` says how far they are
-        apart). Elsewhere (18) asks every function's equation to hold, and the projection error of all of them leaks into F; the
-        states' columns carry only their own. For large N (18) also takes several times as long as K itself.
+        For ``vector_field``: W comes from the states' columns of A, or from equation (18) over all points, as in the
+        paper. They agree where the dictionary's span is invariant (``field_disagreement_`` says how far they are
+        apart). Elsewhere (18) lets the projection error of all functions leak into F, and it is slow for large N.
     regularization : {"shrink", "tikhonov", "truncated", "sparse", None}
         See `tras.regularization.regularized`; None is plain least squares, as in the paper.
     strength : "auto" or float
-        ``"auto"`` tries 0 and six more, and keeps the one whose roll-outs of up to 501 samples on every fifth trajectory, not fitted
-        meanwhile, are best; one-step errors would not show what runs away. Recordings of fewer than five trajectories are cut for it.
+        ``"auto"`` tries 0 and six more and keeps the one with the best roll-outs of up to 501 samples on every fifth
+        trajectory, not fitted meanwhile. Recordings of fewer than five trajectories are cut for it.
     extrapolation : {"linear", "functions"}
-        Beyond the training data the functions of a dictionary are guesswork. ``"linear"`` keeps them at the data's edge and goes on
-        linearly and damped, so that predictions stay bounded (`tras.hull.Hull`; with `Mechanical`, whose functions of inputs and velocities
-        are sound anywhere, only in the positions); ``"functions"`` trusts them.
+        Beyond the training data the functions are guesswork. ``"linear"`` keeps them at the data's edge and goes on
+        linearly and damped, so that predictions stay bounded (`tras.hull.Hull`); ``"functions"`` trusts them.
     stable : bool or float
-        With ``lifted_linear``: keep the spectral radius of A at most one, or at most this number (`tras.solver.stability`). A radius of one bounds the
-        powers of A; the response to bounded inputs is bounded below one only. ``1 - dt / tau`` makes every mode forget in about the time tau.
+        With ``lifted_linear``: keep the spectral radius of A at most one, or at most this number
+        (`tras.solver.stability`). The response to bounded inputs is bounded below one only; ``1 - dt / tau`` makes
+        every mode forget in about the time tau.
     columns : {"all", "states"}
-        With ``one_step``: ``"states"`` fits the states' columns of K alone, which is all that its predictions need, at half the cost; the
-        others, and so eigenvalues, are not known then.
+        With ``one_step``: ``"states"`` fits the states' columns of K alone, at half the cost; its predictions need no
+        others, but eigenvalues do.
 
     Attributes
     ----------
     koopman_matrix : (N, N) ndarray
-        K of (14), in scaled channels; with ``lifted_linear`` the A of ``z+ = A z + B u`` transposed; with ``columns="states"`` (N, states).
+        K of (14), in scaled channels; with ``lifted_linear`` the A of ``z+ = A z + B u`` transposed; with
+        ``columns="states"`` (N, states).
     generator : (N, N) ndarray
         A of (15) in 1/s; only for ``vector_field``.
     eigenvalues : (N,) complex ndarray
-        Of K, largest modulus first; do not depend on units.
+        Of K, largest modulus first; they do not depend on units.
     condition_number : float
         Of the matrix of liftings on scaled channels. Coefficients are good to about this times 1e-16.
     rank_ : int
@@ -85,7 +86,8 @@ class KoopmanModel(Estimator):
     strength_ : float
         The strength used.
     errors_ : dict
-        With ``strength="auto"``: strength -> multi-step error (root mean square in half-ranges, a sample counts 10 at most).
+        With ``strength="auto"``: strength -> multi-step error (root mean square in half-ranges, a sample counts 10 at
+        most).
 
     Examples
     --------
@@ -123,19 +125,18 @@ class KoopmanModel(Estimator):
         self.stable = stable
         self.columns = columns
 
-    # ------------------------------------------------------------------------------------------------------------ fitting
-
     def fit(self, recording, y=None, **streamed):
         """Identify from a `Recording`, or a sequence of recordings with the same channels.
 
-        The path of a file, `tras.open_recording(path)`, an `xarray.Dataset` of such a file, an iterator of recordings, or a callable that returns one: these
-        may be larger than memory. See
-        `tras.large.streaming.absorb` for them, and for the options ``ranges, checkpoint, chunk, progress, every, scheduler, parts, threads``.
+        It may be larger than memory: the path of a file, `tras.open_recording(path)`, an `xarray.Dataset` of such a
+        file, an iterator of recordings, or a callable that returns one. See `tras.large.streaming.absorb` for these,
+        and for the options ``ranges, checkpoint, chunk, progress, every, scheduler, parts, threads``.
 
         Raises
         ------
         ValueError
-            On an unknown option, a constant channel, too few snapshot pairs, channels or functions that are linearly dependent on the data.
+            On an unknown option, a constant channel, too few snapshot pairs, channels or functions that depend on each
+            other on the data.
         LogarithmError
             (a ValueError) If K has no principal logarithm.
         """
@@ -143,7 +144,7 @@ class KoopmanModel(Estimator):
         return self._conclude(*streaming.absorb(self, recording, **streamed), streamed.get("threads"))
 
     def partial_fit(self, recording, y=None):
-        """Go on with more data: K is then the one of all recordings so far. Scales and centres stay those of the first recording.
+        """Go on with more data: K is then the one of all recordings, scales and centres those of the first.
 
         Raises
         ------
@@ -161,12 +162,9 @@ class KoopmanModel(Estimator):
     def _conclude(self, fit, scaled, held, threads=None):
         """The strength by ``held``, which was not absorbed yet, if there is any; then the solution of all rows."""
         if fit is not getattr(self, "_fit", None):
-            for name in [
-                name
-                for name in vars(self)
-                if name.endswith("_") or name in ("koopman_matrix", "generator", "condition_number")
-            ]:
-                delattr(self, name)  # of an earlier fit
+            learnt = [name for name in vars(self) if name.endswith("_") or name in _LEARNT]
+            for name in learnt:  # by an earlier fit
+                delattr(self, name)
         vars(self).pop("refinement_", None)  # of a W that is replaced now (`tras.refine`)
         self._fit, self.fitted_as_ = fit, (self.predictor, self.delays)
         self.channels_, self.dictionary_, self.names_ = fit.channels, fit.dictionary, fit.names
@@ -206,8 +204,6 @@ class KoopmanModel(Estimator):
     def _predictor(self):
         return PREDICTORS[self.predictor]
 
-    # --------------------------------------------------------------------------------------------------------- predicting
-
     @property
     def eigenvalues(self):
         """Eigenvalues of K, largest modulus first."""
@@ -216,7 +212,7 @@ class KoopmanModel(Estimator):
         return eigenvalues[np.lexsort((-eigenvalues.imag, -np.abs(eigenvalues)))]
 
     def lift(self, x, u=None):
-        """``psi(x, u)`` of states (..., n) and inputs (..., m) in physical units -> (..., N); with ``lifted_linear`` of the states alone."""
+        """``psi(x, u)``, or psi(x) with ``lifted_linear``: (..., n) and (..., m) in physical units -> (..., N)."""
         self.require_fitted()
         lifts_inputs = self._predictor.lifts_inputs
         u = np.zeros((*np.shape(x)[:-1], len(self.input_names_))) if u is None and not lifts_inputs else u
@@ -224,66 +220,49 @@ class KoopmanModel(Estimator):
         return self.dictionary_(x, u) if lifts_inputs else self.dictionary_(x)
 
     def vector_field(self, x, u=None):
-        """The identified ``dx/dt = F(x, u)`` in physical units: (..., n), (..., m) -> (..., n). Only for ``vector_field``.
+        """The identified ``dx/dt = F(x, u)`` in physical units: (..., n), (..., m) -> (..., n).
 
         With delays ``x`` holds the newest sample first, then the earlier ones: (..., n (delays + 1)).
         """
+        self.require_fitted()
         if self.predictor != "vector_field":
-            self.require_fitted()
-            raise ValueError(
-                f"predictor is {self.predictor!r}, which has no vector field; fit with predictor='vector_field'."
-            )
-        field = self.map()
+            raise ValueError(f"predictor is {self.predictor!r}, which has no vector field; fit with 'vector_field'.")
         x, u = self.channels_.points(x, u)
-        z = np.concatenate(
-            [x.reshape(-1, x.shape[-1]), u.reshape(-1, u.shape[-1])] if u.shape[-1] else [x.reshape(-1, x.shape[-1])],
-            axis=1,
-        )
-        return field(z.T).T.reshape(x.shape) * self.channels_.z_scale
+        z = np.concatenate([x, u], axis=-1).reshape(-1, x.shape[-1] + u.shape[-1])
+        return self.map()(z.T).T.reshape(x.shape) * self.channels_.z_scale
 
     def map(self):
-        """What a step consists of in scaled channels, a `tras.predictors.Map`: the rates, or with ``one_step`` the next states."""
+        """The rates, or with ``one_step`` the next states, in scaled channels: a `tras.predictors.Map`."""
         self.require_fitted()
         return self._predictor.map(self)
 
     def report(self, recording=None):
-        """What the fit found, in a few lines of text; with a recording, also how well it predicts that.
-
-        Parameters
-        ----------
-        recording : Recording, optional
-            Best one that was not fitted.
-        """
+        """The fit in a few lines of text; also how well it predicts a recording, best one that was not fitted."""
         self.require_fitted()
         return summary.describe(self, None if recording is None else self.channels_.matched(recording))
 
     def save(self, path):
         """Write to ``path`` (.npz: plain arrays and one JSON header, no pickle). Same model, same bytes."""
         self.require_fitted()
-        storage.save(self, path)
-
-    # ------------------------------------------------------------------------------------------------------------- inside
+        model_file.save(self, path)
 
     def check_options(self):
+        """A ValueError on an option that does not exist or does not fit the others."""
         for name, allowed in OPTIONS.items():
             value = getattr(self, name)
             if value not in allowed:
                 raise ValueError(f"{name} is {value!r}; choose one of {', '.join(map(str, allowed))}.")
         if not isinstance(self.dictionary, Dictionary):
             raise ValueError(f"dictionary is {self.dictionary!r}; give one, for example tras.Monomials(2).")
-        if isinstance(self.delays, bool) or not isinstance(self.delays, (int, np.integer)) or self.delays < 0:
-            raise ValueError(f"delays is {self.delays!r}; give a whole number, 0 or more.")
-        number = isinstance(self.strength, (int, float)) and not isinstance(self.strength, bool)
-        if self.strength != "auto" and not (number and 0 <= self.strength < math.inf):
-            raise ValueError(f"strength is {self.strength!r}; give 'auto' or a number that is not negative.")
+        arguments.whole_number("delays", self.delays, 0)
+        if self.strength != "auto":
+            arguments.number("strength", self.strength, 0, give="'auto' or a number that is not negative")
         if not isinstance(self.stable, (bool, int, float)) or not 0 <= self.stable <= 1:
             raise ValueError(
-                f"stable is {self.stable!r}; give True, False, or a spectral radius between 0 and 1, for example 0.999."
+                f"stable is {self.stable!r}; give True, False, or a spectral radius of 0 to 1, such as 0.999."
             )
         if self.columns == "states" and self.predictor != "one_step":
-            raise ValueError(
-                f"columns='states' needs predictor='one_step', but it is {self.predictor!r}, which needs all of K; use columns='all'."
-            )
+            raise ValueError(f"columns='states' needs predictor='one_step', but it is {self.predictor!r}; use 'all'.")
         if self.stable and self.predictor != "lifted_linear":
             raise ValueError(f"stable={self.stable!r} needs predictor='lifted_linear', but it is {self.predictor!r}.")
 
@@ -292,35 +271,30 @@ class KoopmanModel(Estimator):
         if not hasattr(self, "koopman_matrix"):
             raise ValueError("the model is not fitted; call fit(recording) first.")
         if (self.predictor, self.delays) != self.fitted_as_:
+            now = self.predictor, self.delays
             raise ValueError(
-                f"predictor and delays are {(self.predictor, self.delays)} but the model was fitted with {self.fitted_as_}; fit it again."
+                f"predictor and delays are {now} but the model was fitted with {self.fitted_as_}; fit it again."
             )
 
     @property
     def state_columns(self):
         """The states' columns of K, (N, n')."""
-        return (
-            self.koopman_matrix
-            if self.columns == "states"
-            else self.koopman_matrix[:, 1 : 1 + len(self.dictionary_.coordinates)]
-        )
+        K = self.koopman_matrix
+        return K if self.columns == "states" else K[:, 1 : 1 + len(self.dictionary_.coordinates)]
 
     def require_all_columns(self):
         """A ValueError unless the model is fitted and knows all of K."""
         self.require_fitted()
         if self.columns == "states":
-            raise ValueError(
-                "columns is 'states', so the other columns of K and its eigenvalues are not known; fit with columns='all'."
-            )
+            reason = "columns is 'states', so the other columns of K and its eigenvalues are not known"
+            raise ValueError(f"{reason}; fit with columns='all'.")
 
     def _simulate_scaled(self, x, u):
         d = self.delays
         past = [u[:, :d][:, ::-1].reshape(len(u), -1)] if self.channels_.delayed_inputs else []
         z = np.concatenate([x[:, ::-1].reshape(len(x), -1), *past], axis=1)
-        # The layout in memory decides the last bits of the products.
-        states = self._predictor.roll_out(
-            self, np.ascontiguousarray(z).T, np.ascontiguousarray(u[:, d:]).transpose(1, 2, 0)
-        )
+        z, u = np.ascontiguousarray(z), np.ascontiguousarray(u[:, d:])  # the layout decides the last bits of products
+        states = self._predictor.roll_out(self, z.T, u.transpose(1, 2, 0))
         return np.concatenate([x[:, :d], states[:, : len(self.state_names_)].transpose(2, 0, 1)], axis=1)
 
 
@@ -334,7 +308,7 @@ def load_model(path):
     ValueError
         If it is no model, is damaged, or is of a version that this release does not know.
     """
-    return storage.load(path, _restored)
+    return model_file.load(path, _restored)
 
 
 def _restored(parameters, dictionary, channels, attributes):

@@ -58,7 +58,7 @@ def save(model, path):
 
 
 def load(path, make):
-    """What ``make(parameters, dictionary, channels, attributes)`` makes of a file that `save` has written. See `tras.load_model`."""
+    """``make(parameters, dictionary, channels, attributes)`` of a file of `save`; see `tras.load_model`."""
     path = _npz_path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist; fit a model and save it with model.save({str(path)!r}).")
@@ -71,7 +71,7 @@ def load(path, make):
 
 
 def read_npz(path, form):
-    """(header, arrays) of an .npz file of plain arrays with a JSON header, which must name the format ``form``; raises one of `UNREADABLE`."""
+    """(header, arrays) of an .npz file whose JSON header must name the format ``form``; raises one of `UNREADABLE`."""
     with np.load(path, allow_pickle=False) as file:
         arrays = {key: file[key] for key in file.files}
     header = json.loads(str(arrays.pop("header")))
@@ -111,11 +111,12 @@ def _restored(header, arrays):
 
 
 def _pack(dictionary, place, arrays):
-    """A fitted dictionary as JSON holds it, its learnt arrays put into ``arrays`` under names that begin with ``place``."""
+    """A fitted dictionary as JSON holds it; its learnt arrays go into ``arrays``, named from ``place`` on."""
     name = type(dictionary).__name__
     if KINDS.get(name) is not type(dictionary):
         raise ValueError(
-            f"dictionary {name!r} is not one of this package, so a file with it could not be read; keep the code that makes it."
+            f"dictionary {name!r} is not one of this package, so a file with it could not be read; "
+            "keep the code that makes it."
         )
     header = {"name": name, "parameters": {}}
     for key, value in dictionary.get_params(deep=False).items():

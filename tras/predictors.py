@@ -1,7 +1,7 @@
-"""Three ways to predict with a fitted Koopman matrix: integrate its vector field, step and lift anew, stay in the lifted space.
+"""Three ways to predict with K: integrate the vector field, lift anew each step, stay in the lifted space.
 
-Each is one object. ``lifts_inputs`` says whether the dictionary is of states and inputs, ``delays_inputs`` whether earlier inputs count as
-states beside the earlier states.
+Each is one object. ``lifts_inputs`` says whether the dictionary is of states and inputs, ``delays_inputs`` whether
+earlier inputs count as states beside the earlier states.
 """
 
 from typing import NamedTuple
@@ -78,12 +78,12 @@ class VectorField(_Relifting):
         if model.field == "least_squares":
             by_coordinates = model.W_
             model.W_ = generator.field_by_least_squares(model.generator, model.dictionary_, scaled, R)
-            # R is a square root of Psi_x^T Psi_x, so |W R^T| is the root mean square of W psi over the data, up to a factor.
+            # R^T R = Psi_x^T Psi_x, so |W R^T| is the root mean square of W psi over the data, up to a factor.
             size = np.linalg.norm(by_coordinates @ R.T, axis=1)
             model.field_disagreement_ = np.linalg.norm((model.W_ - by_coordinates) @ R.T, axis=1) / size
         x, u = (np.concatenate(part) for part in zip(*scaled))
-        some = np.linspace(0, len(x) - 1, min(len(x), 2000)).astype(int)
-        model.substeps_ = rollout.enough_substeps(self.map(model), x[some].T, u[some].T, model.dt_)
+        sample = np.linspace(0, len(x) - 1, min(len(x), 2000)).astype(int)
+        model.substeps_ = rollout.enough_substeps(self.map(model), x[sample].T, u[sample].T, model.dt_)
 
     def map(self, model):
         """The rates of all states in 1/s."""
@@ -129,6 +129,11 @@ class LiftedLinear:
         of_inputs[1 + n : 1 + n + m] = True
         model.koopman_matrix = np.eye(len(model.names_)) + D[~of_inputs]
         model.B_ = np.ascontiguousarray(D[of_inputs].T)
+
+    def map(self, model):
+        raise ValueError(
+            "predictor is 'lifted_linear', which steps in the lifted space and has no map of states alone."
+        )
 
     def roll_out(self, model, z, u):
         """As the others', but the lifting is carried on."""

@@ -10,8 +10,8 @@ _RESERVED = ("trajectory", "time", "sample", "row_size")  # columns and dimensio
 class Recording:
     """Trajectories of one system, all with the same channels and sampling time; lengths may differ.
 
-    The numbers are copied once, here, and cannot be changed afterwards. A trajectory of a single sample is allowed (it has no
-    snapshot pair).
+    The numbers are copied once, here, and cannot be changed afterwards. A trajectory of a single sample is allowed (it
+    has no snapshot pair).
 
     Parameters
     ----------
@@ -26,15 +26,15 @@ class Recording:
     state_units, input_units : sequence of str, optional
         Default: unknown, ``""``.
     attributes : dict, optional
-        Name -> what a reader needs to know about the origin: anything that JSON holds (None, bool, finite numbers, strings, lists
-        and dicts of them). Tuples and numpy's arrays and numbers become lists and numbers.
+        Name -> what a reader needs to know about the origin: anything that JSON holds (None, bool, finite numbers,
+        strings, lists and dicts of them). Tuples and numpy's arrays and numbers become lists and numbers.
 
     Raises
     ------
     ValueError
-        On wrong shapes, unequal lengths of states and inputs, empty trajectories, masked values, NaN or infinity (with the
-        place), names that repeat, are reserved or do not match in number, a sampling time that is not positive, attributes
-        that JSON cannot hold.
+        On wrong shapes, unequal lengths of states and inputs, empty trajectories, masked values, NaN or infinity (with
+        the place), names that repeat, are reserved or do not match in number, a sampling time that is not positive,
+        attributes that JSON cannot hold.
 
     Examples
     --------
@@ -156,7 +156,8 @@ class Recording:
         )
 
     def cut(self, samples):
-        """Cut every trajectory into pieces of ``samples`` samples that share their end points; a shorter rest is dropped.
+        """Cut every trajectory into pieces of ``samples`` samples that share their end points; a shorter rest is
+        dropped.
 
         50001 samples give 100 pieces of 501, with all of their 50000 snapshot pairs.
 
@@ -174,7 +175,7 @@ class Recording:
         return self.with_data([x[k : k + samples] for x, _, k in starts], [u[k : k + samples] for _, u, k in starts])
 
     def cut_all(self, samples):
-        """As `cut`, but nothing is lost: rests, and trajectories that are shorter, are kept with the length they have."""
+        """As `cut`, but rests and shorter trajectories are kept with the length that they have."""
         samples = whole_number("samples", samples)
         if samples < 2:
             raise ValueError(f"samples = {samples}; pieces need 2 samples or more.")
@@ -186,7 +187,8 @@ class Recording:
         return self.with_data(states, inputs)
 
     def delayed(self, delays, *, inputs=False):
-        """The states of ``delays`` earlier samples, newest first, as states beside the present ones, and the earlier inputs if asked.
+        """The states of ``delays`` earlier samples, newest first, as states beside the present ones, and the earlier
+        inputs if asked.
 
         Trajectories become ``delays`` samples shorter. Names are ``phi[-1]``, ``phi[-2]``, ...
 
@@ -203,7 +205,8 @@ class Recording:
         if self.lengths.min() <= delays:
             i = int(np.argmin(self.lengths))
             raise ValueError(
-                f"trajectory {i} has {self.lengths[i]} samples, too few for {delays} delays; leave it out or use fewer delays."
+                f"trajectory {i} has {self.lengths[i]} samples, too few for {delays} delays; "
+                "leave it out or use fewer delays."
             )
         past = range(1, delays + 1)
         states, held = [], []
@@ -251,9 +254,10 @@ class Recording:
     def to_xarray(self):
         """An ``xarray.Dataset``: one variable per channel along ``sample``, trajectories one behind the other.
 
-        ``row_size`` holds the number of samples of each trajectory (CF conventions, contiguous ragged array). The global
-        attribute ``attributes`` holds all of this recording's attributes as JSON, from which `read` has them back exactly; those
-        that are single numbers or strings stand beside it under their own names, for ncdump and MATLAB.
+        ``row_size`` holds the number of samples of each trajectory (CF conventions, contiguous ragged array). The
+        global attribute ``attributes`` holds all of this recording's attributes as JSON, from which `read` has them
+        back exactly; those that are single numbers or strings stand beside it under their own names, for ncdump and
+        MATLAB.
         """
         from tras.io import netcdf
 
@@ -262,8 +266,9 @@ class Recording:
     def write(self, path):
         """Write to ``path``: NetCDF-4 (.nc), .csv, .parquet or MATLAB (.mat, version 7). Same content, same bytes.
 
-        `read` has everything back, numbers to the last bit. A .nc opens in xarray, MATLAB's ncread and ncdump, a .csv (with a comment
-        line above the names) in pandas and spreadsheets; .mat holds cells ``states`` and ``inputs`` of matrices (samples, channels).
+        `read` has everything back, numbers to the last bit. A .nc opens in xarray, MATLAB's ncread and ncdump, a .csv
+        (with a comment line above the names) in pandas and spreadsheets; .mat holds cells ``states`` and ``inputs`` of
+        matrices (samples, channels).
 
         Raises
         ------
@@ -281,19 +286,21 @@ class Recording:
         Parameters
         ----------
         path : str or pathlib.Path
-            .nc (written by `write`), .csv, .parquet or .mat (versions 5 to 7.3: arrays, structs, structs with Time and Data, cell
-            arrays of trials).
+            .nc (written by `write`), .csv, .parquet or .mat (versions 5 to 7.3: arrays, structs, structs with Time and
+            Data, cell arrays of trials).
         roles : dict or path of a YAML file, optional
-            ``time`` and ``trial``: a column each (or null); ``states`` (or ``outputs``) and ``inputs``: lists of columns; ``units``:
-            column -> unit; ``dt``: sampling time in s. ``trial`` may be the column of time: a new trial begins where it jumps back.
-            Roles not given are guessed where names are plain (t, time; u1, torque; q, x2, theta_dot; run) and said in
-            ``attributes["guessed"]``.
+            ``time`` and ``trial``: a column each (or null); ``states`` (or ``outputs``) and ``inputs``: lists of
+            columns; ``units``: column -> unit; ``dt``: sampling time in s. ``trial`` may be the column of time: a new
+            trial begins where it jumps back. Roles not given are guessed where names are plain (t, time; u1, torque; q,
+            x2, theta_dot; run) and said in ``attributes["guessed"]``.
         dt : float, optional
             Sampling time in s where there is no column of time; with one, what its steps must be.
         resample : float, optional
-            New sampling time in s: linear for states, the last value held for inputs. Otherwise uneven times are an error.
+            New sampling time in s: linear for states, the last value held for inputs. Otherwise uneven times are an
+            error.
         missing : {"cut", "refuse"}
-            Rows with an empty, NaN or infinite value: trajectories are cut there, or it is an error. Pieces of a single sample are dropped.
+            Rows with an empty, NaN or infinite value: trajectories are cut there, or it is an error. Pieces of a single
+            sample are dropped.
         tolerance : float
             How far a step of time may be from the sampling time, as a fraction of it.
 
@@ -308,8 +315,8 @@ class Recording:
         FileNotFoundError
             If there is no such file.
         ValueError
-            If it is damaged, too large, holds what is no number (text, complex, sparse, objects), if roles are not plain, time goes
-            backwards, repeats or is uneven: a `tras.io.roles.RecordingError` with path and place.
+            If it is damaged, too large, holds what is no number (text, complex, sparse, objects), if roles are not
+            plain, time goes backwards, repeats or is uneven: a `tras.io.roles.RecordingError` with path and place.
 
         Examples
         --------
@@ -343,7 +350,7 @@ class Recording:
             raise RecordingError(what if what.startswith(str(path)) else f"{path}: {what}") from error
 
     def with_data(self, states, inputs, **labels):
-        """A recording of other trajectories (lists of arrays) with this one's labels; sound data, which are not checked again."""
+        """A recording of other trajectories (lists of sound arrays) with this one's labels; nothing is checked."""
         new = object.__new__(type(self))
         new.__dict__.update(self.__dict__, _states=states, _inputs=inputs, attributes=dict(self.attributes))
         new.__dict__.update({name: tuple(value) for name, value in labels.items()})
@@ -368,7 +375,8 @@ def join(recordings):
         recordings = [recordings]
     if not recordings or not all(isinstance(r, Recording) for r in recordings):
         raise ValueError(
-            f"recording is {type(recordings[0]).__name__ if recordings else 'empty'}; give a tras.Recording or a sequence of them."
+            f"recording is {type(recordings[0]).__name__ if recordings else 'empty'}; "
+            "give a tras.Recording or a sequence of them."
         )
     first = recordings[0]
     for i, other in enumerate(recordings[1:], start=1):
@@ -381,7 +389,8 @@ def require_alike(first, other, i):
     for label in ("dt", "state_names", "input_names"):
         if getattr(other, label) != getattr(first, label):
             raise ValueError(
-                f"recording {i} has {label} {getattr(other, label)} but the first has {getattr(first, label)}; make them alike."
+                f"recording {i} has {label} {getattr(other, label)} but the first has {getattr(first, label)}; "
+                "make them alike."
             )
 
 
@@ -389,7 +398,8 @@ def _trajectories(name, values):
     """A list of float arrays (samples_i, channels), our own and read-only."""
     if hasattr(values, "iloc"):
         raise ValueError(
-            f"{name} is a {type(values).__name__}; give a list of arrays (samples, channels), for one table [table.to_numpy()]."
+            f"{name} is a {type(values).__name__}; give a list of arrays (samples, channels), "
+            "for one table [table.to_numpy()]."
         )
     if isinstance(values, np.ndarray) and values.ndim == 2:
         raise ValueError(_ONE_TOO_FEW.format(name, values.shape))
@@ -414,7 +424,8 @@ def _trajectories(name, values):
         if np.ma.is_masked(value):
             sample, channel = np.argwhere(np.ma.getmaskarray(value))[0]
             raise ValueError(
-                f"{name}: trajectory {i} is missing (masked) at sample {sample} in column {channel}; repair it or cut the trajectory there."
+                f"{name}: trajectory {i} is missing (masked) at sample {sample} in column {channel}; "
+                "repair it or cut the trajectory there."
             )
     return arrays
 
@@ -447,7 +458,8 @@ def _labels(role, letter, trajectories, names, units):
     for name in names:
         if not name or "/" in name or "\0" in name or name == "." or name in _RESERVED:
             raise ValueError(
-                f"{role}_names holds {name!r}; give names that are not empty, have no '/' and are none of {', '.join(_RESERVED)}."
+                f"{role}_names holds {name!r}; give names that are not empty, have no '/' "
+                f"and are none of {', '.join(_RESERVED)}."
             )
     if len(set(names)) != count:
         raise ValueError(f"{role}_names {names} repeat a name; every channel needs its own.")

@@ -1,7 +1,7 @@
 """Regularised coefficients from one factorisation, no second look at the data.
 
-What is regularised is the CHANGE over a sample, ``psi(y) - psi(x) = D^T psi(x)`` with K = I + D. A truncated K has zero eigenvalues and so no
-logarithm; a truncated D only says "no change here".
+What is regularised is the CHANGE over a sample, ``psi(y) - psi(x) = D^T psi(x)`` with K = I + D. A truncated K has zero
+eigenvalues and so no logarithm; a truncated D only says "no change here".
 """
 
 import numpy as np
@@ -14,17 +14,18 @@ STRENGTHS = (0.0, 1e-4, 1e-3, 1e-2, 3e-2, 1e-1, 1.0)  # what `strength="auto"` t
 def regularized(method, R, rotated, head):
     """A function ``strength -> D`` (p, q) for the least-squares problem ``R D = rotated``.
 
-    Strengths are relative: they depend neither on units nor on the number of samples; 0 is plain least squares for every method.
+    Strengths are relative: they depend neither on units nor on the number of samples; 0 is plain least squares for
+    every method.
 
     Parameters
     ----------
     method : {"shrink", "tikhonov", "truncated", "sparse"}
-        ``"shrink"``: Tikhonov on that part of the functions behind the head which the head (constant, states, inputs) does not
-        explain. Strength 1 is close to the linear model, which is never penalised.
-        ``"tikhonov"``: all functions alike (A. N. Tikhonov; P. C. Hansen, *Rank-Deficient and Discrete Ill-Posed Problems*, 1998).
+        ``"shrink"``: Tikhonov on that part of the functions behind the head which the head (constant, states, inputs)
+        does not explain. Strength 1 is close to the linear model, which is never penalised. ``"tikhonov"``: all
+        functions alike (A. N. Tikhonov; P. C. Hansen, *Rank-Deficient and Discrete Ill-Posed Problems*, 1998).
         ``"truncated"``: singular values below ``strength`` times the largest are left out.
-        ``"sparse"``: sequential thresholding (S. L. Brunton et al., PNAS 113, 2016, 3932): functions that contribute less than ``strength`` times
-        the size of a target's change are dropped from it, and the rest is fitted anew.
+        ``"sparse"``: sequential thresholding (S. L. Brunton et al., PNAS 113, 2016, 3932): functions that contribute
+        less than ``strength`` times the size of a target's change are dropped from it, and the rest is fitted anew.
     R : (p, p) ndarray
         Upper triangular factor of the regressors, the head first.
     rotated : (p, q) ndarray

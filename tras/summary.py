@@ -6,7 +6,7 @@ from tras import generator, metrics
 
 
 def describe(model, recording=None):
-    """A few lines of text on a fitted model; with a recording in the model's channels, also how well it is predicted."""
+    """A few lines of text on a fitted model; also how well it predicts a recording in its channels, if there is one."""
     return "\n".join(
         [*_fit(model), *_dynamics(model), *(_prediction(model, recording) if recording is not None else [])]
     )
@@ -33,12 +33,14 @@ def _dynamics(model):
         others = np.delete(eigenvalues, np.argmin(np.abs(eigenvalues - 1)))
         largest = np.abs(others).max(initial=0.0)
         lines.append(
-            f"without the constant's one the largest modulus is {largest:.8f}; at most {float(model.stable):g} was asked for"
+            f"without the constant's one the largest modulus is {largest:.8f}; "
+            f"at most {float(model.stable):g} was asked for"
         )
     if model.predictor == "vector_field":
         distance = generator.branch_distance(eigenvalues).min()
         lines += [
-            f"distance of the spectrum from the logarithm's branch cut {distance:.3g}; exp(log K) misses K by {model.log_residual_:.1e}, relative",
+            f"distance of the spectrum from the logarithm's branch cut {distance:.3g}; "
+            f"exp(log K) misses K by {model.log_residual_:.1e}, relative",
             f"vector field by {model.field}, {model.substeps_} Runge-Kutta step(s) a sample",
         ]
     if hasattr(model, "field_disagreement_"):
@@ -47,7 +49,8 @@ def _dynamics(model):
     if hasattr(model, "refinement_"):
         first, last = model.refinement_[[0, -1]]
         lines.append(
-            f"refined on whole trajectories: predictions miss the measurements by {last:.3g} times their noise, {first:.3g} before"
+            f"refined on whole trajectories: predictions miss the measurements by {last:.3g} times their noise, "
+            f"{first:.3g} before"
         )
     return lines + _beyond(model)
 

@@ -106,14 +106,14 @@ def test_the_sample_is_spread_evenly_and_bounded(counts):
     ):
         windows.look(number, Piece(seen + numbers[: count + 1], -numbers[: count + 1], count))
         seen += count
-    starts = np.array([piece.x[0, 0] for _, _, piece in windows.chosen.values()])
+    starts = np.array([piece.x[0, 0] for _, _, piece in windows.windows.values()])
     assert windows.seen == sum(counts) and 1 <= len(starts) <= 200 and (seen < 10**6 or len(starts) >= 100)
     assert 500 * len(starts) <= seen / 5 + 500 and np.all(np.diff(starts) >= 500)
     if len(counts) != 5:
         assert np.diff(starts).max() <= 1.5 * np.median(np.diff(starts)) and seen - starts[-1] <= 2 * np.median(
             np.diff(starts)
         )
-    assert all(len(piece.x) == 501 for _, _, piece in windows.chosen.values())
+    assert all(len(piece.x) == 501 for _, _, piece in windows.windows.values())
 
 
 # ---------------------------------------------------------------------------------------------------------------- the same model

@@ -1,7 +1,8 @@
 """Dictionaries: the functions psi(x, u) that lift a state and an input (paper, (6)-(8)).
 
 Every dictionary begins with the constant, the states and the inputs, so a state can be read back from its lifting; what
-follows is its own. They expect channels of order one: `tras.KoopmanModel` scales each channel to [-1, 1] before it lifts.
+follows is its own. They expect channels of order one: `tras.KoopmanModel` scales each channel to [-1, 1] before it
+lifts.
 """
 
 import hashlib
@@ -23,8 +24,8 @@ class Dictionary(BaseEstimator):
     ``_build()``
         Derives the rest from them and from ``n_states_``, ``n_inputs_``; returns how many functions follow the head.
     ``_fill(psi, z)``
-        Writes them into ``psi[head:]``; ``psi`` is (N, points), its head (constant, states, inputs) is there already. Several threads may call it
-        at once, for strips of points.
+        Writes them into ``psi[head:]``; ``psi`` is (N, points), its head (constant, states, inputs) is there already.
+        Several threads may call it at once, for strips of points.
     ``_fill_slopes(slopes, psi, z)``
         Writes their derivatives by the states into ``slopes[head:]``, (N, n, points), zero so far.
     ``_tail_names(channels)``
@@ -41,7 +42,7 @@ class Dictionary(BaseEstimator):
         return self.restore()
 
     def __call__(self, x, u=None):
-        """Lift: states (..., n) and inputs (..., m) -> (..., N), equation (7). An unfitted dictionary is fitted first."""
+        """Lift states (..., n) and inputs (..., m): (..., N), equation (7). An unfitted dictionary is fitted first."""
         z, leading = self.points(x, u)
         return self.lift(z).T.reshape(*leading, -1)
 
@@ -106,7 +107,7 @@ class Dictionary(BaseEstimator):
 
     @property
     def confined(self):
-        """Channels in which the functions are guesswork beyond the data, by number; None is all. See `tras.hull.Hull`."""
+        """Numbers of the channels in which the functions are guesswork beyond the data (`tras.hull`); None is all."""
         return None
 
     def _learn(self, z):
@@ -123,14 +124,15 @@ class Dictionary(BaseEstimator):
             self.fit(x, u)
         if (x.shape[-1], u.shape[-1]) != (self.n_states_, self.n_inputs_):
             raise ValueError(
-                f"x and u have {x.shape[-1]} and {u.shape[-1]} channels but the dictionary was fitted to {self.n_states_} and "
-                f"{self.n_inputs_}; hand in the same channels."
+                f"x and u have {x.shape[-1]} and {u.shape[-1]} channels but the dictionary was fitted to "
+                f"{self.n_states_} and {self.n_inputs_}; hand in the same channels."
             )
         return _columns(x, u), x.shape[:-1]
 
 
 def label(estimator):
-    """A dictionary in one line of a table, or a model by its dictionary and delays: every parameter that is set, with its value.
+    """A dictionary in one line of a table, or a model by its dictionary and delays: every parameter that is set, with
+    its value.
 
     >>> import tras
     >>> label(tras.Union(tras.Monomials(1), tras.Fourier()))
@@ -143,7 +145,7 @@ def label(estimator):
 
 
 def spelled(value):
-    """An estimator with all its parameters, or the value of one, in a line of text; arrays and generators by a digest."""
+    """An estimator with all its parameters, or one value, in a line of text; arrays and generators by a digest."""
     if isinstance(value, BaseEstimator):
         inner = {key: spelled(item) for key, item in value.get_params(deep=False).items()}
         return f"{type(value).__name__}({', '.join(f'{key}={item}' for key, item in inner.items())})"

@@ -59,6 +59,7 @@ class Union(_Combination):
     Examples
     --------
     >>> import numpy as np
+    >>> from tras import Monomials
     >>> Union(Monomials(2), Monomials(3))(np.zeros(2)).shape == Monomials(3)(np.zeros(2)).shape
     True
     """
@@ -81,6 +82,7 @@ class Product(_Combination):
     Examples
     --------
     >>> import numpy as np
+    >>> from tras import Monomials
     >>> Product(Monomials(1), Monomials(1))(np.zeros(2)).shape == Monomials(2)(np.zeros(2)).shape
     True
     """

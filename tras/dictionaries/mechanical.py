@@ -1,4 +1,4 @@
-"""A dictionary for mechanical systems M(q) qddot + ... = ..., whose inertia and gravity depend on a few positions only."""
+"""A dictionary for mechanical systems whose inertia and gravity depend on a few positions only."""
 
 import itertools
 
@@ -11,17 +11,19 @@ from tras.workflow import arguments
 class Mechanical(Dictionary):
     """Functions of the shape times {1, inputs, velocities, other positions, products of two velocities}.
 
-    The accelerations of a mechanical system are ``M(s)^-1 (u - C(s) qdot qdot - D qdot - K q - g(s))``: with respect to inputs,
-    velocities and the positions that do not change the inertia they are polynomials of degree one or two, and only the dependence
-    on the *shape* s, the positions that M and gravity depend on, is of any kind. So the shape gets polynomials up to a high degree (Chebyshev, well
-    conditioned on [-1, 1]) and everything else no more than mechanics allows. For the twin rotor (shape: pitch) N = 81.
+    The accelerations of a mechanical system are ``M(s)^-1 (u - C(s) qdot qdot - D qdot - K q - g(s))``: with respect to
+    inputs, velocities and the positions that do not change the inertia they are polynomials of degree one or two, and
+    only the dependence on the *shape* s, the positions that M and gravity depend on, is of any kind. So the shape gets
+    polynomials up to a high degree (Chebyshev, well conditioned on [-1, 1]) and everything else no more than mechanics
+    allows. For the twin rotor (shape: pitch) N = 81.
 
     Parameters
     ----------
     degree : int
         Highest total degree of the Chebyshev polynomials of the shape.
     positions, velocities : sequence of int, optional
-        Which states are positions and which their velocities, in the same order. Default: they alternate, position first.
+        Which states are positions and which their velocities, in the same order. Default: they alternate, position
+        first.
     shape : sequence of int, optional
         The positions that inertia and gravity depend on. Default: the first position.
 
@@ -81,7 +83,8 @@ class Mechanical(Dictionary):
         shape = positions[:1] if self.shape is None else list(self.shape)
         if sorted(positions + velocities) != list(range(n)) or len(positions) != len(velocities):
             raise ValueError(
-                f"positions {positions} and velocities {velocities} do not pair the {n} states; say which state is which, for example "
+                f"positions {positions} and velocities {velocities} do not pair the {n} states; "
+                "say which state is which, for example "
                 "positions=[0, 2], velocities=[1, 3]."
             )
         if not shape or not set(shape) <= set(positions):
@@ -110,7 +113,7 @@ class Mechanical(Dictionary):
         return psi[first] * psi[second]
 
     def _polynomials(self, tables):
-        """Products over the shape of polynomials, one row per function: tables (degree + 1, points) -> (functions, points)."""
+        """Products over the shape of polynomials: tables (degree + 1, points) -> (functions, points)."""
         product = tables[0][self._powers[:, 0]]
         for c in range(1, len(tables)):
             product = product * tables[c][self._powers[:, c]]

@@ -11,7 +11,8 @@ _FEW = 256  # points for which calls cost more than copies
 
 
 class Monomials(Dictionary):
-    """All products of states and inputs up to total degree ``degree``: N = (n + m + w)! / ((n + m)! w!) (paper, after (12)).
+    """All products of states and inputs up to total degree ``degree``: N = (n + m + w)! / ((n + m)! w!) (paper, after
+    (12)).
 
     Parameters
     ----------

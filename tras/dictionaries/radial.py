@@ -9,7 +9,7 @@ CENTRES = ("uniform", "data", "kmeans")
 
 
 class Radial(Dictionary):
-    """The constant, the states, the inputs, and one function of ``|z - c| / width`` for each centre c: N = 1 + n + m + centres."""
+    """One function of ``|z - c| / width`` for each centre c behind the head: N = 1 + n + m + centres."""
 
     def __init__(self, n_centres=2, width=1.0, seed=0, centres="uniform"):
         self.n_centres = n_centres
@@ -30,7 +30,8 @@ class Radial(Dictionary):
             centres = np.array(self.centres, dtype=float)
             if centres.ndim != 2 or centres.shape[1] != len(z) or not np.isfinite(centres).all():
                 raise ValueError(
-                    f"centres has shape {centres.shape}; give (centres, {len(z)}) finite numbers in scaled channels, or a word."
+                    f"centres has shape {centres.shape}; give (centres, {len(z)}) finite numbers in scaled channels, "
+                    "or a word."
                 )
             return centres
         arguments.whole_number("n_centres", self.n_centres)
@@ -53,7 +54,7 @@ class Radial(Dictionary):
         return len(self.centres_)
 
     def _minus_squares(self, z, out):
-        """``-|z - c|^2 / width^2`` = 2 c.z - |c|^2 - |z|^2 by one matrix product: no array of (centres, channels, points)."""
+        """``-|z - c|^2 / width^2`` by one matrix product: no array of (centres, channels, points)."""
         if z.dtype == object:  # symbols (`tras.export.symbols`): as a reader expects it
             return -(((z[None] - self.centres_[..., None]) ** 2).sum(axis=1) / self.width_**2)
         lifted = np.empty((len(z) + 2, z.shape[1]))
@@ -71,23 +72,26 @@ class Radial(Dictionary):
 
 
 class GaussianRBF(Radial):
-    """The constant, the states, the inputs, and Gaussians ``exp(-|z - c|^2 / width^2)`` of ``z = (x, u)``: N = 1 + n + m + centres.
+    """The constant, the states, the inputs, and Gaussians ``exp(-|z - c|^2 / width^2)`` of ``z = (x, u)``: N = 1 + n +
+    m + centres.
 
-    With the defaults this is what "Gauss RBF of maximum degree w = 2" means in the public MATLAB code that the paper's method comes
-    from: w Gaussians of width 1 at random centres in [-1, 1]^(n+m), on channels scaled to [-1, 1], beside states, inputs and a constant.
+    With the defaults this is what "Gauss RBF of maximum degree w = 2" means in the public MATLAB code that the paper's
+    method comes from: w Gaussians of width 1 at random centres in [-1, 1]^(n+m), on channels scaled to [-1, 1], beside
+    states, inputs and a constant.
 
     Parameters
     ----------
     n_centres : int
         Number of Gaussians. A few bend a linear model a little; N grows by one each.
     width : float or "auto"
-        Distance at which a Gaussian has fallen to 1/e, in scaled units. Wider functions are smoother and closer to linearly
-        dependent: watch the condition number. "auto": the median distance between centres (`typical_distance`).
+        Distance at which a Gaussian has fallen to 1/e, in scaled units. Wider functions are smoother and closer to
+        linearly dependent: watch the condition number. "auto": the median distance between centres
+        (`typical_distance`).
     seed : int or numpy.random.Generator
         Draws the centres.
     centres : {"uniform", "data", "kmeans"} or (centres, n + m) array_like
-        Random in the cube [-1, 1]^(n+m), random samples of the data, cluster centres of the data (k-means), or given, in scaled channels.
-        The data fill little of the cube: "kmeans" spends no centre where there is none.
+        Random in the cube [-1, 1]^(n+m), random samples of the data, cluster centres of the data (k-means), or given,
+        in scaled channels. The data fill little of the cube: "kmeans" spends no centre where there is none.
 
     Examples
     --------
@@ -111,7 +115,8 @@ class GaussianRBF(Radial):
 
 
 class ThinPlate(Radial):
-    """The constant, the states, the inputs, and thin plates ``r^2 log r``, ``r = |z - c| / width``. Parameters as of `GaussianRBF`.
+    """The constant, the states, the inputs, and thin plates ``r^2 log r``, ``r = |z - c| / width``. Parameters as of
+    `GaussianRBF`.
 
     They grow with the distance, so they extrapolate where Gaussians fall to nothing, for better or worse.
     """

@@ -7,13 +7,15 @@ from tras.workflow import arguments
 
 
 class Exponentials(Dictionary):
-    """``exp(rate k.z)`` for every whole vector k with ``0 < |k|_1 <= order``: named by the paper ("exponentials") beside monomials.
+    """``exp(rate k.z)`` for every whole vector k with ``0 < |k|_1 <= order``: named by the paper ("exponentials")
+    beside monomials.
 
     Parameters
     ----------
     order : int
     rate : float
-        Exponent at the edge of the scaled range. Small rates are nearly polynomials and nearly dependent, large ones steep.
+        Exponent at the edge of the scaled range. Small rates are nearly polynomials and nearly dependent, large ones
+        steep.
     """
 
     def __init__(self, order=1, rate=1.0):
@@ -45,7 +47,8 @@ class Fourier(Dictionary):
     ----------
     order : int
     period : float
-        In scaled units, in which the data span 2. The default 4 lets functions that are not periodic over the data be followed.
+        In scaled units, in which the data span 2. The default 4 lets functions that are not periodic over the data be
+        followed.
     """
 
     def __init__(self, order=1, period=4.0):
@@ -79,7 +82,7 @@ class Fourier(Dictionary):
 
 
 def _lattice(channels, order):
-    """Whole vectors k with ``|k|_1 <= order``, in lexicographic order. (Those that are too long are never made: they would be (2 order + 1)^channels.)"""
+    """Whole vectors k with ``|k|_1 <= order``, in lexicographic order; longer ones are never made."""
     if channels == 0:
         return [()]
     return [(first, *rest) for first in range(-order, order + 1) for rest in _lattice(channels - 1, order - abs(first))]
