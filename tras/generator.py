@@ -7,7 +7,9 @@ import numpy as np
 from scipy import linalg
 from scipy.linalg import blas
 
+from tras.dictionaries.base import Dictionary
 from tras.koopman import snapshot_pairs
+from tras.recording import Recording
 
 
 class LogarithmError(ValueError):
@@ -22,13 +24,13 @@ class LogarithmError(ValueError):
         return type(self), (self.args[0], self.eigenvalue)
 
 
-def branch_distance(eigenvalues):
+def branch_distance(eigenvalues: np.ndarray) -> np.ndarray:
     """Distance of each eigenvalue from the closed negative real axis, where the principal logarithm does not exist."""
     eigenvalues = np.asarray(eigenvalues, dtype=complex)
     return np.where(eigenvalues.real <= 0, np.abs(eigenvalues.imag), np.abs(eigenvalues))
 
 
-def principal_logarithm(K):
+def principal_logarithm(K: np.ndarray) -> tuple[np.ndarray, float]:
     """The principal logarithm of a real matrix (N. J. Higham, *Functions of Matrices*, 2008, Thm. 1.31 and Ch. 11).
 
     Returns
@@ -87,17 +89,17 @@ def _same_draws():
         np.random.set_state(state)
 
 
-def generator(K, dt):
+def generator(K: np.ndarray, dt: float) -> np.ndarray:
     """``A = log(K) / dt``, equation (15): d/dt of ``psi^T a`` is ``psi^T A a``. (N, N) -> (N, N) in 1/s."""
     return principal_logarithm(K)[0] / dt
 
 
-def field_by_coordinates(A, dictionary):
+def field_by_coordinates(A: np.ndarray, dictionary: Dictionary) -> np.ndarray:
     """W (n, N) read off the generator: the columns of the states, since d/dt x_i = psi^T A e_i."""
     return A[:, dictionary.coordinates].T.copy()
 
 
-def field_by_least_squares(A, dictionary, recording, R):
+def field_by_least_squares(A: np.ndarray, dictionary: Dictionary, recording: Recording, R: np.ndarray) -> np.ndarray:
     """W (n, N) of ``F(x, u) = W psi(x, u)`` from equation (18), over all data points.
 
     Minimises the sum over the points of ``|(d psi / d x) W psi - A^T psi|^2``, one equation per function and point.

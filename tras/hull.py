@@ -38,12 +38,12 @@ class Hull:
         """Numbers of the channels in which the box has no edges."""
         return [] if confined is None else [i for i in range(channels) if i not in confined]
 
-    def widen(self, z):
+    def widen(self, z: np.ndarray) -> "Hull":
         """Make room for more data."""
         t = self.axes.T @ (z - self.centre)
         return self.merge(t.min(axis=1, keepdims=True), t.max(axis=1, keepdims=True))
 
-    def arrays(self):
+    def arrays(self) -> dict[str, np.ndarray]:
         """Centre, axes, and the data's edges: what `restored` needs beside ``free``."""
         return {name: getattr(self, name) for name in ("centre", "axes", "low", "high")}
 
@@ -55,7 +55,7 @@ class Hull:
         hull.free = free
         return hull.settle()
 
-    def merge(self, low, high):
+    def merge(self, low: np.ndarray, high: np.ndarray) -> "Hull":
         """Make room for the data of another hull with the same axes, whose edges these are."""
         self.low, self.high = np.minimum(self.low, low), np.maximum(self.high, high)
         return self.settle()
@@ -74,7 +74,7 @@ class Hull:
             )
         return self
 
-    def nearest(self, z):
+    def nearest(self, z: np.ndarray) -> np.ndarray:
         """P(z): (channels, points) -> (channels, points); ``z`` itself, unchanged, when all points are inside."""
         if np.abs(self._to_cube @ z + self._cube_shift).max() <= 1:
             return z
@@ -83,7 +83,7 @@ class Hull:
         return z - self.axes @ beyond if beyond.any() else z
 
 
-def outward_rates(change, n, dt, newest):
+def outward_rates(change: np.ndarray, n: int, dt: float, newest: int) -> np.ndarray:
     """S (n, n + m) in 1/s beyond the hull: the linear model's, shifted until its slowest mode decays as fast as its
     fastest one moves.
 
@@ -102,7 +102,7 @@ def outward_rates(change, n, dt, newest):
     return S
 
 
-def over_a_sample(S, dt):
+def over_a_sample(S: np.ndarray, dt: float) -> np.ndarray:
     """The flow of ``z' = S (z, u)`` over a sample, u held: (n, n + m)."""
     n, channels = S.shape
     whole = np.zeros((channels, channels))

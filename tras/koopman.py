@@ -7,17 +7,19 @@ functions that do not change (the constant, the inputs) get exactly zero.
 """
 
 import threading
+from collections.abc import Iterator
 
 import numpy as np
 
-from tras.solver.least_squares import StreamingLeastSquares, panel_rows
+from tras.dictionaries.base import Dictionary
+from tras.solver.least_squares import LeastSquares, StreamingLeastSquares, panel_rows
 from tras.solver.threads import processors
 
 DEALT = 2**20  # pairs that are shuffled at a time, 80 MB for ten channels
 SUIT = 8  # successive pairs that are dealt together where they share liftings
 
 
-def snapshot_pairs(recording, block=4096, deal=0):
+def snapshot_pairs(recording, block: int = 4096, deal: int = 0) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Blocks ``(x, u, y)`` of snapshot pairs (12): ``y`` follows ``x`` by one sample while ``u`` is held.
 
     Pairs are formed inside each trajectory and never reach from one into the next.
@@ -133,7 +135,7 @@ def _fresh(number, rows, columns):
     return np.empty((rows, columns))
 
 
-def koopman_matrix(dictionary, recording, names=None):
+def koopman_matrix(dictionary: Dictionary, recording, names=None) -> tuple[np.ndarray, LeastSquares]:
     """K with ``psi(y, u)^T = psi(x, u)^T K`` over all pairs, equations (13) and (14), plain least squares.
 
     Returns

@@ -9,6 +9,7 @@ ValueError.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,14 @@ class Scores:
     diverged: int
 
 
-def judge(true, predicted, *, span=None, channels=None, range_over="all"):
+def judge(
+    true: ArrayLike,
+    predicted: ArrayLike,
+    *,
+    span: ArrayLike | None = None,
+    channels: list[int] | None = None,
+    range_over: str = "all",
+) -> Scores:
     """The `Scores` of predicted trajectories: diverged ones are counted and left out of the metrics.
 
     Parameters
@@ -62,7 +70,7 @@ def judge(true, predicted, *, span=None, channels=None, range_over="all"):
     return Scores(error / divisor(size), fit, normalized, len(lost), int(lost.sum()))
 
 
-def enr(true, predicted):
+def enr(true: ArrayLike, predicted: ArrayLike) -> np.ndarray:
     """Error-to-norm ratio ``|x - xh| / |x|``, equation (19), a FRACTION: 0 is perfect. (..., samples, n) -> (n,)
 
     Examples
@@ -74,7 +82,7 @@ def enr(true, predicted):
     return error / _positive(size, "the truth is zero throughout")
 
 
-def bfr(true, predicted):
+def bfr(true: ArrayLike, predicted: ArrayLike) -> np.ndarray:
     """Best-fit ratio ``100 max(1 - |x - xh| / |x - mean(x)|, 0)``, equation (20) repaired, in PERCENT: 100 is perfect.
 
     The paper prints it without "1 -"; as printed a worse model would score higher.
@@ -83,7 +91,9 @@ def bfr(true, predicted):
     return 100 * np.maximum(1 - error / _positive(spread, "the truth is constant"), 0)
 
 
-def nrmse(true, predicted, *, range_over="all", span=None):
+def nrmse(
+    true: ArrayLike, predicted: ArrayLike, *, range_over: str = "all", span: ArrayLike | None = None
+) -> np.ndarray:
     """Root mean square error over the range of the truth, equation (21), in PERCENT: 0 is perfect.
 
     Parameters
@@ -113,7 +123,9 @@ def nrmse(true, predicted, *, range_over="all", span=None):
     return 100 * np.sqrt(np.mean(each, axis=0))
 
 
-def diverged(true, predicted, *, factor=10.0, span=None):
+def diverged(
+    true: ArrayLike, predicted: ArrayLike, *, factor: float = 10.0, span: ArrayLike | None = None
+) -> np.ndarray:
     """Which predictions have left for good: (trajectories,) bool.
 
     A trajectory has diverged if its prediction holds NaN or infinity anywhere, or if its error somewhere exceeds

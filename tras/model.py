@@ -1,8 +1,10 @@
 """Identified models: fit, simulate, score, report (paper, Algorithm of Sec. IV and "Model Comparison")."""
 
 import math
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import linalg
 from sklearn.base import clone
 
@@ -12,7 +14,8 @@ from tras.estimator import Estimator
 from tras.hull import over_a_sample
 from tras.large import streaming
 from tras.metrics import multi_step_error
-from tras.predictors import PREDICTORS
+from tras.predictors import PREDICTORS, Map
+from tras.recording import Recording
 from tras.regularization import METHODS, STRENGTHS
 from tras.workflow import arguments
 
@@ -125,7 +128,7 @@ class KoopmanModel(Estimator):
         self.stable = stable
         self.columns = columns
 
-    def fit(self, recording, y=None, **streamed):
+    def fit(self, recording, y=None, **streamed) -> "KoopmanModel":
         """Identify from a `Recording`, or a sequence of recordings with the same channels.
 
         It may be larger than memory: the path of a file, `tras.open_recording(path)`, an `xarray.Dataset` of such a
@@ -143,7 +146,7 @@ class KoopmanModel(Estimator):
         self.check_options()
         return self._conclude(*streaming.absorb(self, recording, **streamed), streamed.get("threads"))
 
-    def partial_fit(self, recording, y=None):
+    def partial_fit(self, recording: Recording, y=None) -> "KoopmanModel":
         """Go on with more data: K is then the one of all recordings, scales and centres those of the first.
 
         Raises
@@ -205,13 +208,13 @@ class KoopmanModel(Estimator):
         return PREDICTORS[self.predictor]
 
     @property
-    def eigenvalues(self):
+    def eigenvalues(self) -> np.ndarray:
         """Eigenvalues of K, largest modulus first."""
         self.require_all_columns()
         eigenvalues = linalg.eigvals(self.koopman_matrix)
         return eigenvalues[np.lexsort((-eigenvalues.imag, -np.abs(eigenvalues)))]
 
-    def lift(self, x, u=None):
+    def lift(self, x: ArrayLike, u: ArrayLike | None = None) -> np.ndarray:
         """``psi(x, u)``, or psi(x) with ``lifted_linear``: (..., n) and (..., m) in physical units -> (..., N)."""
         self.require_fitted()
         lifts_inputs = self._predictor.lifts_inputs
@@ -219,7 +222,7 @@ class KoopmanModel(Estimator):
         x, u = self.channels_.points(x, u)
         return self.dictionary_(x, u) if lifts_inputs else self.dictionary_(x)
 
-    def vector_field(self, x, u=None):
+    def vector_field(self, x: ArrayLike, u: ArrayLike | None = None) -> np.ndarray:
         """The identified ``dx/dt = F(x, u)`` in physical units: (..., n), (..., m) -> (..., n).
 
         With delays ``x`` holds the newest sample first, then the earlier ones: (..., n (delays + 1)).
@@ -231,17 +234,17 @@ class KoopmanModel(Estimator):
         z = np.concatenate([x, u], axis=-1).reshape(-1, x.shape[-1] + u.shape[-1])
         return self.map()(z.T).T.reshape(x.shape) * self.channels_.z_scale
 
-    def map(self):
+    def map(self) -> Map:
         """The rates, or with ``one_step`` the next states, in scaled channels: a `tras.predictors.Map`."""
         self.require_fitted()
         return self._predictor.map(self)
 
-    def report(self, recording=None):
+    def report(self, recording: Recording | None = None) -> str:
         """The fit in a few lines of text; also how well it predicts a recording, best one that was not fitted."""
         self.require_fitted()
         return summary.describe(self, None if recording is None else self.channels_.matched(recording))
 
-    def save(self, path):
+    def save(self, path: str | Path):
         """Write to ``path`` (.npz: plain arrays and one JSON header, no pickle). Same model, same bytes."""
         self.require_fitted()
         model_file.save(self, path)
@@ -277,7 +280,7 @@ class KoopmanModel(Estimator):
             )
 
     @property
-    def state_columns(self):
+    def state_columns(self) -> np.ndarray:
         """The states' columns of K, (N, n')."""
         K = self.koopman_matrix
         return K if self.columns == "states" else K[:, 1 : 1 + len(self.dictionary_.coordinates)]
@@ -298,7 +301,7 @@ class KoopmanModel(Estimator):
         return np.concatenate([x[:, :d], states[:, : len(self.state_names_)].transpose(2, 0, 1)], axis=1)
 
 
-def load_model(path):
+def load_model(path: str | Path) -> KoopmanModel:
     """Read a model that `KoopmanModel.save` has written; nothing in the file is executed.
 
     Raises

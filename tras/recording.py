@@ -1,6 +1,8 @@
 """`Recording`: measured or simulated trajectories with names, units and sampling time (paper, "Data collection")."""
 
 import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -89,32 +91,32 @@ class Recording:
         self.attributes = _attributes(attributes or {})
 
     @property
-    def states(self):
+    def states(self) -> np.ndarray | list[np.ndarray]:
         """(trajectories, samples, n) array; a list of (samples_i, n) when the lengths differ."""
         return _together(self._states)
 
     @property
-    def inputs(self):
+    def inputs(self) -> np.ndarray | list[np.ndarray]:
         """(trajectories, samples, m) array; a list of (samples_i, m) when the lengths differ."""
         return _together(self._inputs)
 
     @property
-    def lengths(self):
+    def lengths(self) -> np.ndarray:
         """Samples of each trajectory, (trajectories,)."""
         return np.array([len(x) for x in self._states])
 
     @property
-    def pairs(self):
+    def pairs(self) -> int:
         """Number of snapshot pairs (12): one less than samples in each trajectory."""
         return int(np.sum(self.lengths - 1))
 
     @property
-    def n(self):
+    def n(self) -> int:
         """Number of states."""
         return len(self.state_names)
 
     @property
-    def m(self):
+    def m(self) -> int:
         """Number of inputs."""
         return len(self.input_names)
 
@@ -136,7 +138,7 @@ class Recording:
         channels = f"states {', '.join(self.state_names)}; inputs {', '.join(self.input_names) or 'none'}"
         return f"Recording: {len(self)} trajectories of {samples} samples at {self.dt:g} s; {channels}"
 
-    def select(self, *, states=None, inputs=None):
+    def select(self, *, states: Sequence[str] | None = None, inputs: Sequence[str] | None = None) -> "Recording":
         """The same trajectories with only the named channels, in the order given.
 
         Raises
@@ -155,7 +157,7 @@ class Recording:
             input_units=[self.input_units[i] for i in u],
         )
 
-    def cut(self, samples):
+    def cut(self, samples: int) -> "Recording":
         """Cut every trajectory into pieces of ``samples`` samples that share their end points; a shorter rest is
         dropped.
 
@@ -174,7 +176,7 @@ class Recording:
         starts = [(x, u, k) for x, u in self for k in range(0, len(x) - samples + 1, samples - 1)]
         return self.with_data([x[k : k + samples] for x, _, k in starts], [u[k : k + samples] for _, u, k in starts])
 
-    def cut_all(self, samples):
+    def cut_all(self, samples: int) -> "Recording":
         """As `cut`, but rests and shorter trajectories are kept with the length that they have."""
         samples = whole_number("samples", samples)
         if samples < 2:
@@ -186,7 +188,7 @@ class Recording:
                 inputs.append(u[k : k + samples])
         return self.with_data(states, inputs)
 
-    def delayed(self, delays, *, inputs=False):
+    def delayed(self, delays: int, *, inputs: bool = False) -> "Recording":
         """The states of ``delays`` earlier samples, newest first, as states beside the present ones, and the earlier
         inputs if asked.
 
@@ -222,7 +224,7 @@ class Recording:
             units += list(marks) * delays
         return self.with_data(states, held, state_names=names, state_units=units)
 
-    def split(self, fraction, seed):
+    def split(self, fraction: float, seed: int) -> tuple["Recording", "Recording"]:
         """Two recordings: a random ``fraction`` of the trajectories, and the rest, each in the old order.
 
         Raises
@@ -263,7 +265,7 @@ class Recording:
 
         return netcdf.to_xarray(self, _attributes(self.attributes))
 
-    def write(self, path):
+    def write(self, path: str | Path):
         """Write to ``path``: NetCDF-4 (.nc), .csv, .parquet or MATLAB (.mat, version 7). Same content, same bytes.
 
         `read` has everything back, numbers to the last bit. A .nc opens in xarray, MATLAB's ncread and ncdump, a .csv
@@ -280,7 +282,16 @@ class Recording:
         formats.write(self, formats.known(path), _attributes(self.attributes))
 
     @classmethod
-    def read(cls, path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=0.01):
+    def read(
+        cls,
+        path: str | Path,
+        roles: dict | str | Path | None = None,
+        *,
+        dt: float | None = None,
+        resample: float | None = None,
+        missing: str = "cut",
+        tolerance: float = 0.01,
+    ) -> "Recording":
         """Read a file that `write` has written, or one of your own from a logger, a spreadsheet or MATLAB.
 
         Parameters
@@ -349,7 +360,7 @@ class Recording:
             )
             raise RecordingError(what if what.startswith(str(path)) else f"{path}: {what}") from error
 
-    def with_data(self, states, inputs, **labels):
+    def with_data(self, states: list[np.ndarray], inputs: list[np.ndarray], **labels) -> "Recording":
         """A recording of other trajectories (lists of sound arrays) with this one's labels; nothing is checked."""
         new = object.__new__(type(self))
         new.__dict__.update(self.__dict__, _states=states, _inputs=inputs, attributes=dict(self.attributes))
@@ -359,7 +370,7 @@ class Recording:
         return new
 
 
-def join(recordings):
+def join(recordings: Recording | Iterable[Recording]) -> Recording:
     """One recording of a recording, or of a sequence of recordings with the same channels and sampling time.
 
     Raises

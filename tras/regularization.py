@@ -4,6 +4,8 @@ What is regularised is the CHANGE over a sample, ``psi(y) - psi(x) = D^T psi(x)`
 eigenvalues and so no logarithm; a truncated D only says "no change here".
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy import linalg
 
@@ -11,7 +13,7 @@ METHODS = ("shrink", "tikhonov", "truncated", "sparse")
 STRENGTHS = (0.0, 1e-4, 1e-3, 1e-2, 3e-2, 1e-1, 1.0)  # what `strength="auto"` tries
 
 
-def regularized(method, R, rotated, head):
+def regularized(method: str, R: np.ndarray, rotated: np.ndarray, head: int) -> Callable[[float], np.ndarray]:
     """A function ``strength -> D`` (p, q) for the least-squares problem ``R D = rotated``.
 
     Strengths are relative: they depend neither on units nor on the number of samples; 0 is plain least squares for

@@ -1,12 +1,14 @@
 """Roll-outs of many trajectories at once, in scaled channels."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 STRETCH = 32  # samples between two looks at which predictions have left
 LIMIT = 1e3  # half-ranges of the training data; a prediction beyond is abandoned and NaN from there on
 
 
-def roll_out(advance, z, inputs, read=lambda state: state):
+def roll_out(advance: Callable, z: np.ndarray, inputs: np.ndarray, read: Callable = lambda state: state) -> np.ndarray:
     """States (samples, n, batch) from the state ``z`` (..., batch) under inputs (samples, m, batch).
 
     Parameters
@@ -40,7 +42,7 @@ def roll_out(advance, z, inputs, read=lambda state: state):
     return states
 
 
-def runge_kutta(field, z, u, dt, substeps):
+def runge_kutta(field: Callable, z: np.ndarray, u: np.ndarray, dt: float, substeps: int) -> np.ndarray:
     """Classical steps of order 4 of ``z' = field(point)``, ``point`` (n + m, batch) holding z and the held input u."""
     h, n = dt / substeps, len(z)
     point, move = np.concatenate([z, u]), np.empty_like(z)
@@ -63,7 +65,9 @@ def runge_kutta(field, z, u, dt, substeps):
     return z
 
 
-def enough_substeps(field, z, u, dt, tolerance=1e-8, most=64):
+def enough_substeps(
+    field: Callable, z: np.ndarray, u: np.ndarray, dt: float, tolerance: float = 1e-8, most: int = 64
+) -> int:
     """Doubled until halving the step moves no prediction over one sample by more than ``tolerance`` of a half-range."""
     substeps, coarse = 1, runge_kutta(field, z, u, dt, 1)
     while substeps < most:

@@ -8,6 +8,7 @@ lifts.
 import hashlib
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator
 
 POSITIVE = "a positive number, in units of the scaled channels"  # what `tras.workflow.arguments.number` says to give
@@ -32,7 +33,7 @@ class Dictionary(BaseEstimator):
         Names them.
     """
 
-    def fit(self, x, u=None):
+    def fit(self, x: ArrayLike, u: ArrayLike | None = None) -> "Dictionary":
         """Learn what the dictionary needs (the number of channels; centres) from samples (..., n) and (..., m)."""
         x, u = _samples(x, u)
         for name in [name for name in vars(self) if name.endswith("_")]:
@@ -41,18 +42,18 @@ class Dictionary(BaseEstimator):
         self._learn(_columns(x, u))
         return self.restore()
 
-    def __call__(self, x, u=None):
+    def __call__(self, x: ArrayLike, u: ArrayLike | None = None) -> np.ndarray:
         """Lift states (..., n) and inputs (..., m): (..., N), equation (7). An unfitted dictionary is fitted first."""
         z, leading = self.points(x, u)
         return self.lift(z).T.reshape(*leading, -1)
 
-    def jacobian(self, x, u=None):
+    def jacobian(self, x: ArrayLike, u: ArrayLike | None = None) -> np.ndarray:
         """``d psi / d x``, used in (17) and (18): (..., n), (..., m) -> (..., N, n)."""
         z, leading = self.points(x, u)
         slopes = self.lift_slopes(z)
         return np.moveaxis(slopes, -1, 0).reshape(*leading, *slopes.shape[:2])
 
-    def lift(self, z, out=None):
+    def lift(self, z: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
         """The same as calling, for points in columns: (n + m, points) -> (N, points), every function a contiguous row.
 
         ``out`` takes the result, if given. Symbols in place of numbers give formulas (`tras.export.symbols`).
@@ -68,7 +69,7 @@ class Dictionary(BaseEstimator):
                 self._fill(psi[:, a : a + STRIP], z[:, a : a + STRIP])
         return psi
 
-    def lift_slopes(self, z):
+    def lift_slopes(self, z: np.ndarray) -> np.ndarray:
         """The same as `jacobian`, for points in columns: (n + m, points) -> (N, n, points)."""
         return self.lift_with_slopes(z)[1]
 
@@ -80,13 +81,13 @@ class Dictionary(BaseEstimator):
         return psi, slopes
 
     @property
-    def names(self):
+    def names(self) -> list[str]:
         """Names of the N functions, channels called x1, x2, ... and u1, u2, ..."""
         return self.feature_names(
             [f"x{i + 1}" for i in range(self.n_states_)] + [f"u{i + 1}" for i in range(self.n_inputs_)]
         )
 
-    def feature_names(self, channels):
+    def feature_names(self, channels: list[str]) -> list[str]:
         """Names of the N functions for the given channel names, states first."""
         return ["1", *channels, *self._tail_names(list(channels))]
 
@@ -101,7 +102,7 @@ class Dictionary(BaseEstimator):
         )
 
     @property
-    def coordinates(self):
+    def coordinates(self) -> np.ndarray:
         """Indices of the functions that are the states themselves: the constant comes first, then they."""
         return np.arange(1, 1 + self.n_states_)
 
@@ -130,7 +131,7 @@ class Dictionary(BaseEstimator):
         return _columns(x, u), x.shape[:-1]
 
 
-def label(estimator):
+def label(estimator: BaseEstimator) -> str:
     """A dictionary in one line of a table, or a model by its dictionary and delays: every parameter that is set, with
     its value.
 
@@ -144,7 +145,7 @@ def label(estimator):
     return line + (f", {delays} delays" if delays else "")
 
 
-def spelled(value):
+def spelled(value) -> str:
     """An estimator with all its parameters, or one value, in a line of text; arrays and generators by a digest."""
     if isinstance(value, BaseEstimator):
         inner = {key: spelled(item) for key, item in value.get_params(deep=False).items()}
