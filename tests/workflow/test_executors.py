@@ -218,7 +218,7 @@ def test_the_pool_that_joblib_shares_is_left_alone():
 def test_a_script_needs_no_guard_and_its_functions_travel_by_value(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
-        "from tras import executors\n"
+        "from tras.workflow import executors\n"
         "print('once')\n"
         "def half(k): return k / 2\n"
         "print(list(executors.run(half, [(1,), (3,)], scheduler='processes', processes=2, ordered=True)))\n"
