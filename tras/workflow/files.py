@@ -35,10 +35,8 @@ def replacing(path):
         temporary.chmod(0o666 & ~umask())  # mkstemp is private; a result is not
         os.replace(temporary, path)
     except OSError as error:
-        reason = error.strerror or error
-        raise OSError(
-            error.errno, f"{path} could not be written ({reason}); nothing was left under that name"
-        ) from error
+        problem = f"{path} could not be written ({error.strerror or error})"
+        raise OSError(error.errno, f"{problem}; nothing was left under that name") from error
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -71,39 +69,26 @@ def write_between(path, begin, end, content):
     except OSError as error:
         raise ValueError(f"{path} cannot be read ({error.strerror}): check the path.") from error
     if text.count(begin) != 1 or text.count(end) != 1:
-        raise ValueError(
-            f"{path} must hold the lines {begin!r} and {end!r} once each, around the table; put them back."
-        )
+        raise ValueError(f"{path} must hold {begin!r} and {end!r} once each, around the table; put them back.")
     before, rest = text.split(begin)
     with replacing(path) as temporary:
         temporary.write_text(f"{before}{begin}\n{content}\n{end}{rest.split(end)[1]}", encoding="utf-8")
 
 
 def project_root(start=None):
-    """The folder of the project, looked for from the working folder upwards.
-
-    Parameters
-    ----------
-    start : str or pathlib.Path, optional
-        Where to begin; the working folder if omitted.
-
-    Returns
-    -------
-    pathlib.Path
-        The nearest folder that holds `pyproject.toml` and `tras/`.
+    """The nearest folder that holds `pyproject.toml` and `tras/`, from ``start`` (default: the working folder) upwards.
 
     Raises
     ------
     FileNotFoundError
-        When there is none above.
+        When there is none.
     """
     start = Path(start or Path.cwd()).resolve()
     for folder in (start, *start.parents):
         if (folder / "pyproject.toml").is_file() and (folder / "tras").is_dir():
             return folder
-    raise FileNotFoundError(
-        f"no folder with pyproject.toml and tras/ at or above {start}: start the notebook from inside the project's checkout."
-    )
+    remedy = "start the notebook from inside the project's checkout"
+    raise FileNotFoundError(f"no folder with pyproject.toml and tras/ at or above {start}: {remedy}.")
 
 
 def umask():

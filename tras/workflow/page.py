@@ -55,7 +55,7 @@ article { border-left: 3px solid #bbb; padding: .1rem 0 .1rem 1rem; margin: 1.6r
   table { font-size: 7pt; } th, td { padding: .15rem .3rem; white-space: normal !important; } figure img { max-width: 28rem; } nav { display: none; }
   figure, article, tr { break-inside: avoid; } h2, h3, caption { break-after: avoid; } a { color: inherit; }
 }
-"""
+"""  # noqa: E501
 
 
 def escape(text):
@@ -66,8 +66,8 @@ def escape(text):
 def formula(tex, *, display=False):
     r"""A formula as MathML; ``\tag{7}`` at the end of a displayed one puts the number to its right.
 
-    Examples -------- >>> formula("x^2") '<math xmlns="http://www.w3.org/1998/Math/MathML"
-    display="inline"><mrow><msup><mi>x</mi><mn>2</mn></msup></mrow></math>'
+    >>> formula("x^2").partition(">")[2]
+    '<mrow><msup><mi>x</mi><mn>2</mn></msup></mrow></math>'
     """
     tex, tag = re.fullmatch(r"(?s)\s*(.*?)\s*(?:\\tag\{([^}]*)\})?\s*", tex).groups()
     mathml = latex2mathml.converter.convert(tex, display="block" if display else "inline")
@@ -80,22 +80,18 @@ def formula(tex, *, display=False):
 def table(head, rows, caption, *, keys=1, kind="numbers"):
     """A table whose first ``keys`` columns name the row; cells are HTML already, the caption too.
 
-    ``kind`` is "numbers" (columns of numbers stand to the right, no cell is broken), "prose" or "short": tables of
-    sentences.
+    ``kind`` is "numbers" (columns of numbers stand to the right, no cell is broken), or for text "prose" or "short".
     """
-    columns = list(zip(*rows)) or [()] * len(head)
-    right = [
-        _NUMBER if i >= keys and kind == "numbers" and column and all(map(_is_number, column)) else ""
-        for i, column in enumerate(columns)
-    ]
-    titles = "".join(f'<th scope="col"{style}>{name}</th>' for name, style in zip(head, right))
+    styles = [""] * len(head)
+    if kind == "numbers" and rows:
+        styles[keys:] = [_NUMBER if all(map(_is_number, column)) else "" for column in list(zip(*rows))[keys:]]
+    titles = "".join(f'<th scope="col"{style}>{name}</th>' for name, style in zip(head, styles))
     body = []
     for row in rows:
-        cells = [f'<th scope="row">{cell}</th>' for cell in row[:keys]] + [
-            f"<td{style}>{cell}</td>" for cell, style in zip(row[keys:], right[keys:])
-        ]
+        cells = [f'<th scope="row">{cell}</th>' for cell in row[:keys]]
+        cells += [f"<td{style}>{cell}</td>" for cell, style in zip(row[keys:], styles[keys:])]
         body.append(f"<tr>{''.join(cells)}</tr>")
-    label = escape(html.unescape(re.sub("<[^>]*>", "", caption)))
+    label = escape(_plain(caption))
     return (
         f'<div class="scroll" tabindex="0" role="region" aria-label="{label}"><table class="{kind}">'
         f"<caption><span>{caption}</span></caption>\n<thead><tr>{titles}</tr></thead>\n<tbody>\n"
@@ -107,10 +103,7 @@ def table(head, rows, caption, *, keys=1, kind="numbers"):
 def figure(path, alt, caption, identity):
     """A figure from a file ``path`` (.svg or .png), inside the page; ``caption`` is HTML, the others are text.
 
-    Raises
-    ------
-    ValueError
-        If the file is no picture of its kind.
+    A ValueError if the file is no picture of its kind.
     """
     content = path.read_bytes()
     width, height = _size(path, content)
@@ -132,12 +125,8 @@ def picture(folder, name):
 def converter(block, contents):
     """A function from Markdown to HTML.
 
-    Parameters
-    ----------
-    block : callable
-        Of a fenced block its kind and, from the YAML in it, a dictionary -> HTML.
-    contents : list
-        Headings of levels 2 and 3 are appended to it: (level, identity, HTML).
+    ``block`` turns the kind of a fenced block and a dictionary, from the YAML in it, to HTML. Headings of levels 2 and
+    3 are appended to the list ``contents``: (level, identity, HTML).
     """
 
     class Renderer(mistune.HTMLRenderer):
@@ -146,7 +135,7 @@ def converter(block, contents):
 
         def heading(self, text, level, **_):
             identities = [identity for _, identity, _ in contents]
-            plain = html.unescape(re.sub("<[^>]*>", "", text)).lower().replace("'", "")
+            plain = _plain(text).lower().replace("'", "")
             base = identity = re.sub(r"[^a-z0-9]+", "-", plain).strip("-") or "part"
             while identity in identities:
                 identity = f"{base}-{sum(name.startswith(base) for name in identities) + 1}"
@@ -181,19 +170,22 @@ def frame(title, body, contents):
             chapters.append((link, []))
         else:
             chapters[-1][1].append(f"<li>{link}</li>")
-    items = "\n".join(
-        f"<li>{link}{'<ul>' + ''.join(parts) + '</ul>' if parts else ''}</li>" for link, parts in chapters
-    )
+    lists = [(link, f"<ul>{''.join(parts)}</ul>" if parts else "") for link, parts in chapters]
+    items = "\n".join(f"<li>{link}{parts}</li>" for link, parts in lists)
+    policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
     return (
         '<!DOCTYPE html>\n<html xmlns="http://www.w3.org/1999/xhtml" lang="en">\n<head>\n<meta charset="utf-8" />\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1" />\n'
-        "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\" />\n"
-        f'<title>{escape(title)}</title>\n<link rel="icon" href="data:," />\n<style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n{first}'
-        f'<nav aria-label="Contents">\n<h2>Contents</h2>\n<ul>\n{items}\n</ul>\n</nav>\n{rest}</main>\n</body>\n</html>\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}" />\n'
+        f'<title>{escape(title)}</title>\n<link rel="icon" href="data:," />\n<style>\n{STYLE}</style>\n'
+        f'</head>\n<body>\n<main>\n{first}<nav aria-label="Contents">\n<h2>Contents</h2>\n<ul>\n{items}\n</ul>\n'
+        f"</nav>\n{rest}</main>\n</body>\n</html>\n"
     )
 
 
-# --- parts ------------------------------------------------------------------------------------------------------------
+def _plain(markup):
+    """The text of HTML without its tags."""
+    return html.unescape(re.sub("<[^>]*>", "", markup))
 
 
 def _is_number(cell):

@@ -25,22 +25,7 @@ INSTRUCTIONS = ("sse4_2", "avx", "fma", "avx2", "avx512f", "asimd", "sve")  # BL
 
 
 def record(notebook, parameters, outputs, started, seconds):
-    """A record of what ran and what it wrote.
-
-    Parameters
-    ----------
-    notebook : Path
-    parameters : dict
-        All parameters, defaults included.
-    outputs : sequence of Path
-    started : datetime.datetime
-    seconds : float
-
-    Returns
-    -------
-    dict
-        As JSON holds it; ``outputs`` is path -> size, times in ns, SHA-256.
-    """
+    """A record of what ran and what it wrote, as JSON holds it; ``parameters`` with the defaults."""
     return {
         "notebook": str(notebook),
         "parameters": parameters,
@@ -75,12 +60,8 @@ def write_beside(record):
 def file_stamp(path):
     """Size, times and SHA-256 of a file, by which `tras/workflow/staleness.py` knows it again."""
     status = path.stat()
-    return {
-        "size": status.st_size,
-        "mtime_ns": status.st_mtime_ns,
-        "ctime_ns": status.st_ctime_ns,
-        "sha256": checksum(path),
-    }
+    times = {"mtime_ns": status.st_mtime_ns, "ctime_ns": status.st_ctime_ns}
+    return {"size": status.st_size, **times, "sha256": checksum(path)}
 
 
 def checksum(path):
@@ -112,24 +93,16 @@ def versions():
 
     import tras
 
-    return {
-        "tras": tras.__version__,
-        "python": platform.python_version(),
-        "numpy": numpy.__version__,
-        "scipy": scipy.__version__,
-    }
+    libraries = {"numpy": numpy.__version__, "scipy": scipy.__version__}
+    return {"tras": tras.__version__, "python": platform.python_version(), **libraries}
 
 
 def packages():
     """Versions of the direct dependencies, which `environment.in` lists; None for one that is not installed."""
     requirements = ROOT / "environment.in"
-    names = (
-        re.findall(r"^[A-Za-z0-9_.-]+", requirements.read_text(encoding="utf-8"), re.MULTILINE)
-        if requirements.exists()
-        else []
-    )
+    text = requirements.read_text(encoding="utf-8") if requirements.exists() else ""
     installed = {}
-    for name in names:
+    for name in re.findall(r"^[A-Za-z0-9_.-]+", text, re.MULTILINE):
         try:
             installed[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
@@ -159,11 +132,8 @@ def _cpu(entry):
 def summary():
     """This checkout and this machine in one line."""
     state, libraries = git_state(ROOT), versions()
-    revision = (
-        f"revision {state['revision'][:12]}{' with changes' if state['dirty'] else ''}"
-        if state["revision"]
-        else "no revision"
-    )
+    changes = " with changes" if state["dirty"] else ""
+    revision = f"revision {state['revision'][:12]}{changes}" if state["revision"] else "no revision"
     machine = f"{processor()} ({' '.join(instructions()[-1:])})" if instructions() else processor()
-    packages_used = ", ".join(f"{name} {libraries[name]}" for name in ("numpy", "scipy"))
-    return f"{revision}, Python {libraries['python']}, {packages_used}, {sys.platform}, {machine}"
+    parts = ["Python {python}, numpy {numpy}, scipy {scipy}".format(**libraries), sys.platform, machine]
+    return ", ".join([revision, *parts])
