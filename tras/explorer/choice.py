@@ -1,21 +1,19 @@
 """One choice of experiment, model and judgement: what the explorer's controls and a parameter file hold.
 
-What the paper leaves open has the words of `tras.paper.readings`; the rest comes on top. The defaults are the paper's:
-references as input, two Gaussians, least squares, equation (18), 500 s at 0.01 s, windows of 6 s.
+What the paper leaves open has the words of `tras.paper.readings`; the rest comes on top. The defaults are the paper's.
 
 `write_parameters` writes a choice as ``params/NAME.yaml``, with which `make all PROFILE=NAME` runs every stage. Stage
-09 takes the whole choice, the others the part that concerns them: the experiment (01), the paper's dictionary and the
-way to the field (02), the windows (03), the reading (06). The studies 05 and 07 vary the data and need enough of
-them; on a recording other than the paper's they run at the small size of params/smoke.yaml.
+09 takes the whole choice, the others the part that concerns them. The studies 05 and 07 vary the data and need enough
+of them; on a recording other than the paper's they run at the small size of params/smoke.yaml.
 """
 
-import math
 import re
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 from tras.paper import readings
 from tras.paper.grid import FREQUENCY
+from tras.workflow.arguments import number, whole_number
 from tras.workflow.files import project_root, replacing
 from tras.workflow.parameters import parse_yaml
 
@@ -118,7 +116,7 @@ class Choice:
     >>> Choice(dictionary="monomials", size=9)
     Traceback (most recent call last):
         ...
-    tras.explorer.choice.ChoiceError: size is 9: with dictionary = monomials it is the degree, 1 to 5.
+    tras.explorer.choice.ChoiceError: size is 9; give 1 to 5: with dictionary = monomials it is the degree.
     """
 
     input: str = "reference"
@@ -145,12 +143,13 @@ class Choice:
             if getattr(self, name) not in meanings:
                 raise ChoiceError(f"{name} is {getattr(self, name)!r}: choose one of {', '.join(meanings)}.")
         for name, (low, high, unit) in RANGES.items():
-            _check_number(name, getattr(self, name), low, high, unit, whole=isinstance(getattr(type(self), name), int))
+            whole = isinstance(getattr(type(self), name), int)
+            check, kind = (whole_number, "whole number") if whole else (number, "number")
+            allowed = f"a {kind} from {low:g} to {high:g} {unit}".rstrip()
+            check(name, getattr(self, name), low, high, give=allowed, error=ChoiceError)
         low, high, _, meaning = SIZES[self.dictionary]
-        if isinstance(self.size, bool) or not isinstance(self.size, int) or not low <= self.size <= high:
-            raise ChoiceError(
-                f"size is {self.size!r}: with dictionary = {self.dictionary} it is {meaning}, {low} to {high}."
-            )
+        allowed = f"{low} to {high}: with dictionary = {self.dictionary} it is {meaning}"
+        whole_number("size", self.size, low, high, give=allowed, error=ChoiceError)
 
     def replaced(self, **changes):
         """A copy with other values, checked."""
@@ -178,13 +177,6 @@ def choice_of(values):
     return Choice(**values)
 
 
-def _check_number(name, value, low, high, unit, whole):
-    number = isinstance(value, int if whole else (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-    if not number or not low <= value <= high:
-        kind = "a whole number" if whole else "a number"
-        raise ChoiceError(f"{name} is {value!r}: give {kind} from {low:g} to {high:g}{' ' + unit if unit else ''}.")
-
-
 _CUBIC = {"input": "torque", "dictionary": "monomials", "size": 3, "field": "coordinates"}
 _MECHANICAL = {"input": "torque", "dictionary": "mechanical", "size": 8}
 
@@ -204,18 +196,9 @@ EXAMPLES = {
 
 
 def parameter_sections(choice, small=None):
-    """What the choice means for each notebook.
+    """What the choice means for each notebook: notebook -> {parameter: value}, without those that keep their defaults.
 
-    Parameters
-    ----------
-    choice : Choice
-    small : dict, optional
-        Parameters of the studies 05 and 07 for recordings other than the paper's, notebook -> parameters.
-
-    Returns
-    -------
-    dict
-        Notebook -> {parameter: value}; the notebook's own value holds for what is left out.
+    ``small`` has the same form: the parameters of the studies 05 and 07 for recordings other than the paper's.
     """
     paper, factor = Choice(), FREQUENCY[choice.frequency_unit]
     notebooks = {
@@ -250,25 +233,13 @@ def parameter_text(choice, name, small=None):
 
 
 def write_parameters(choice, name, folder=None):
-    """Write ``params/NAME.yaml``.
-
-    Parameters
-    ----------
-    choice : Choice
-    name : str
-        Letters, digits, ``-`` and ``_``.
-    folder : str or Path, optional
-        By default ``params/`` of the project.
-
-    Returns
-    -------
-    pathlib.Path
+    """Write ``NAME.yaml`` into a folder, by default ``params/`` of the project, and return its path.
 
     Raises
     ------
     ChoiceError
-        (a ValueError) If the name has other characters, is one of the project's own, or belongs to a file that the
-        explorer has not written.
+        (a ValueError) If the name has other characters than letters, digits, ``-`` and ``_``, is one of the project's
+        own, or belongs to a file that the explorer has not written.
     """
     folder = Path(folder or project_root() / "params")
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):

@@ -99,14 +99,7 @@ def _spectrum_panel(panel, spectrum):
 def portrait_figure(table):
     """The true and the identified vector fields, one row per plane; the colour is the error of the acceleration.
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        From `tras.explorer.portraits.portrait`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
+    ``table`` is from `tras.explorer.portraits.portrait`.
     """
     require(table, "table", ["model", "plane", "angle", "rate", "d_angle", "d_rate", "error"])
     names = list(dict.fromkeys(table["model"]))
