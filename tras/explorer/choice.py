@@ -151,22 +151,22 @@ class Choice:
         allowed = f"{low} to {high}: with dictionary = {self.dictionary} it is {meaning}"
         whole_number("size", self.size, low, high, give=allowed, error=ChoiceError)
 
-    def replaced(self, **changes):
+    def replaced(self, **changes) -> "Choice":
         """A copy with other values, checked."""
         return replace(self, **changes)
 
-    def as_dict(self):
+    def as_dict(self) -> dict:
         """Name -> value, in order."""
         return asdict(self)
 
-    def reading(self):
+    def reading(self) -> readings.Readings:
         """The `Readings` nearest to the choice: the default where the paper's text has no name for what is chosen."""
         names = (f"{self.dictionary}{self.size}", self.dictionary)  # gaussian28, monomials2; gaussian, linear
         dictionary = next((name for name in names if name in readings.choices("dictionary")), "gaussian")
         return readings.Readings(dictionary=dictionary, **{name: getattr(self, name) for name in SHARED})
 
 
-def choice_of(values):
+def choice_of(values: dict) -> Choice:
     """A `Choice` from a mapping, such as a section of a parameter file; what is left out has its default."""
     names = [field.name for field in fields(Choice)]
     for name in values:
@@ -195,7 +195,7 @@ EXAMPLES = {
 }
 
 
-def parameter_sections(choice, small=None):
+def parameter_sections(choice: Choice, small: dict | None = None) -> dict[str, dict]:
     """What the choice means for each notebook: notebook -> {parameter: value}, without those that keep their defaults.
 
     ``small`` has the same form: the parameters of the studies 05 and 07 for recordings other than the paper's.
@@ -224,7 +224,7 @@ def parameter_sections(choice, small=None):
     return dict(sorted(notebooks.items()))
 
 
-def parameter_text(choice, name, small=None):
+def parameter_text(choice: Choice, name: str, small: dict | None = None) -> str:
     """The file: YAML that `tras.workflow.parameters` reads."""
     import yaml
 
@@ -232,7 +232,7 @@ def parameter_text(choice, name, small=None):
     return f"{FIRST_LINE}: make all PROFILE={name} runs it.\n\n{body}"
 
 
-def write_parameters(choice, name, folder=None):
+def write_parameters(choice: Choice, name: str, folder: str | Path | None = None) -> Path:
     """Write ``NAME.yaml`` into a folder, by default ``params/`` of the project, and return its path.
 
     Raises

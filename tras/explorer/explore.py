@@ -19,6 +19,7 @@ from tras.identification.noise import add_noise
 from tras.model import KoopmanModel
 from tras.paper import grid, validation
 from tras.paper.readings import PAPER_NRMSE
+from tras.recording import Recording
 from tras.twin_rotor.closed_loop import INPUTS
 
 TRAJECTORY = 5.0  # s, pieces of the training recording
@@ -56,11 +57,11 @@ class Outcome:
     overlay: pd.DataFrame
     growth: pd.DataFrame
     spectrum: pd.DataFrame
-    window: object
+    window: Recording
     remarks: tuple[str, ...]
 
 
-def explore(choice):
+def explore(choice: Choice) -> Outcome:
     """The `Outcome` of a choice: its model, judged on an independent recording beside the linear model and the paper.
 
     Raises
@@ -100,7 +101,7 @@ def explore(choice):
     return Outcome(choice, model, models.get("linear"), table, overlay, growth, spectrum, fresh[typical], remarks)
 
 
-def numbers(outcome):
+def numbers(outcome: Outcome) -> pd.DataFrame:
     """The metrics as a table of text for the reader.
 
     Rows: NRMSE, Enr, BFR of yaw and pitch, and predictions that ran away; columns ``Koopman, linear, paper``.
@@ -123,7 +124,7 @@ def numbers(outcome):
 
 
 @functools.lru_cache(maxsize=8)
-def recording(frequency_unit, duration, sampling_time, seed):
+def recording(frequency_unit: str, duration: float, sampling_time: float, seed: int) -> Recording:
     """The experiment of 01_data_generation under these choices, with all channels."""
     _samples("duration", duration, sampling_time)
     study = grid.Study(duration=duration, sampling_time=sampling_time)
@@ -133,7 +134,7 @@ def recording(frequency_unit, duration, sampling_time, seed):
         raise ChoiceError(f"This experiment cannot be simulated: {error}") from error
 
 
-def training(choice):
+def training(choice: Choice) -> Recording:
     """The chosen channels of four fifths of the training trajectories, with noise."""
     whole = _channels(recording(choice.frequency_unit, choice.duration, choice.sampling_time, choice.seed), choice)
     if choice.noise:
@@ -141,13 +142,13 @@ def training(choice):
     return _cut(whole, 3, "a trajectory", TRAJECTORY).split(TRAIN_FRACTION, SPLIT_SEED)[0]
 
 
-def validation_windows(choice):
+def validation_windows(choice: Choice) -> Recording:
     """Windows of an independent realisation without noise, that of the next seed."""
     fresh = recording(choice.frequency_unit, choice.duration, choice.sampling_time, choice.seed + 1)
     return _cut(_channels(fresh, choice), 1, "horizon", choice.horizon)
 
 
-def identify(choice, train):
+def identify(choice: Choice, train: Recording) -> KoopmanModel:
     """The chosen model, fitted to a recording from `training`.
 
     Raises
@@ -170,7 +171,7 @@ def identify(choice, train):
         raise ChoiceError(f"There is no model: {error}") from error
 
 
-def unfitted(choice):
+def unfitted(choice: Choice) -> KoopmanModel:
     """The chosen `KoopmanModel` before any data."""
     size = choice.size
     dictionaries = {

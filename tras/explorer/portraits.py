@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 
 from tras.explorer.choice import SIZES, ChoiceError
-from tras.explorer.explore import identify, training
+from tras.explorer.explore import Outcome, identify, training
+from tras.model import KoopmanModel
 from tras.twin_rotor.closed_loop import PID
 from tras.twin_rotor.plant import STATE_NAMES, TORQUE_NAMES, PlantParameters, vector_field
 
@@ -23,12 +24,12 @@ PLANES = {
 }
 
 
-def has_field(model):
+def has_field(model: KoopmanModel) -> bool:
     """Whether `portrait` can show a model: four states, no delays, and a vector field."""
     return model.predictor == "vector_field" and not model.delays and model.state_names_ == STATE_NAMES
 
 
-def compared(outcome):
+def compared(outcome: Outcome) -> dict[str, KoopmanModel]:
     """Models whose fields are worth a look beside the truth: of an `Outcome` the chosen one, and the mechanical one.
 
     A linear model, if need be from data without noise, takes the place of one that has no field. The dict holds one or
@@ -45,7 +46,7 @@ def compared(outcome):
     return models
 
 
-def portrait(models, *, points=25):
+def portrait(models: dict[str, KoopmanModel], *, points: int = 25) -> pd.DataFrame:
     """The fields on a grid with ``points`` per direction, and the errors of the identified ones.
 
     Parameters
@@ -90,7 +91,7 @@ def portrait(models, *, points=25):
     return pd.concat(parts, ignore_index=True)
 
 
-def vector_field_of(input_names, parameters=None):
+def vector_field_of(input_names: tuple[str, ...], parameters: PlantParameters | None = None):
     """The true field for these inputs, (..., 4), (..., 2) -> (..., 4): of the plant, or of the loop in balance.
 
     Examples

@@ -80,11 +80,11 @@ class Explorer:
         self.redraw()
 
     @property
-    def choice(self):
+    def choice(self) -> Choice:
         """The `Choice` that the controls hold; raises a `ChoiceError` if they are wrong."""
         return Choice(**{name: control.value for name, control in self.controls.items()})
 
-    def set(self, choice):
+    def set(self, choice: Choice) -> None:
         """Put a choice into the controls and show its outcome."""
         self._quiet = True
         try:
@@ -98,7 +98,7 @@ class Explorer:
             self._quiet = False
         self.redraw()
 
-    def redraw(self):
+    def redraw(self) -> None:
         """Fit, predict, judge and show; or say why there is nothing to show."""
         start = time.perf_counter()
         self._enable()

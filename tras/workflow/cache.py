@@ -22,7 +22,7 @@ def _digest_of(value):
 
 
 @functools.cache
-def code_digest(*modules):
+def code_digest(*modules: str) -> str:
     """Digest of modules, of all that they need in turn, and of the versions of Python and the libraries.
 
     The modules count as `tras.workflow.staleness` reads them: without comments and docstrings.
@@ -38,18 +38,18 @@ def _package():
     return Package(Path(__file__).parent.parent)
 
 
-def path_for(folder, kind, options, code, suffix=".json"):
+def path_for(folder: str | Path, kind: str, options, code: str, suffix: str = ".json") -> Path:
     """Path of the file for a result: ``folder/kind-HASH.json``."""
     return Path(folder) / f"{kind}-{_digest_of([options, code])}{suffix}"
 
 
-def clear_temporaries(folder, kind):
+def clear_temporaries(folder: str | Path, kind: str) -> None:
     """Remove what a killed run was writing; only while nobody else writes results of this kind."""
     for path in Path(folder).glob(f".{kind}-*"):
         path.unlink(missing_ok=True)
 
 
-def write(path, options, value):
+def write(path: Path, options, value):
     """Store ``value``, anything that JSON holds (NaN as null), with the options it belongs to."""
     value = plain(value)
     content = {"options": options, "check": _digest_of(value), "value": value}
@@ -58,7 +58,7 @@ def write(path, options, value):
     return value
 
 
-def read(path, options):
+def read(path: Path, options):
     """What `write` has stored for these options; None if there is nothing, or nothing sound."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -71,13 +71,13 @@ def read(path, options):
     return _damaged(path)
 
 
-def write_arrays(path, **arrays):
+def write_arrays(path: Path, **arrays: np.ndarray) -> None:
     """Store arrays in an .npz file, whose parts carry checksums."""
     with replacing(path) as temporary:
         np.savez(temporary, **arrays)
 
 
-def read_arrays(path):
+def read_arrays(path: Path) -> dict[str, np.ndarray] | None:
     """The dict that `write_arrays` has stored; None if there is nothing, or nothing sound."""
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:

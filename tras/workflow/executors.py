@@ -70,7 +70,7 @@ def run(work, jobs, shared=(), *, scheduler=None, processes=None, ordered=False,
             yield k, result()
 
 
-def require_scheduler(scheduler):
+def require_scheduler(scheduler) -> None:
     """A ValueError unless it is one that `run` knows."""
     if scheduler not in (None, "processes") and not (isinstance(scheduler, str) and "://" in scheduler):
         remedy = "give None, 'processes', or an address such as 'tcp://host:8786'"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 @contextlib.contextmanager
-def replacing(path):
+def replacing(path: str | Path):
     """A temporary path beside ``path`` to write to; moved onto ``path`` when the block ends well, removed otherwise.
 
     The temporary name keeps the suffix, because writers such as matplotlib and NumPy choose the format by it.
@@ -41,7 +41,7 @@ def replacing(path):
         temporary.unlink(missing_ok=True)
 
 
-def markdown_table(rows):
+def markdown_table(rows) -> str:
     """Rows of text, the heading first, as a table in Markdown.
 
     >>> print(markdown_table([("a", "b"), ("1", "2")]))
@@ -53,7 +53,7 @@ def markdown_table(rows):
     return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, ["---"] * len(head), *body))
 
 
-def write_between(path, begin, end, content):
+def write_between(path: str | Path, begin: str, end: str, content: str) -> None:
     """Write ``content`` into the file ``path``, in place of what stands between the lines ``begin`` and ``end``.
 
     Raises
@@ -75,7 +75,7 @@ def write_between(path, begin, end, content):
         temporary.write_text(f"{before}{begin}\n{content}\n{end}{rest.split(end)[1]}", encoding="utf-8")
 
 
-def project_root(start=None):
+def project_root(start: str | Path | None = None) -> Path:
     """The nearest folder that holds `pyproject.toml` and `tras/`, from ``start`` (default: the working folder) upwards.
 
     Raises
@@ -91,7 +91,7 @@ def project_root(start=None):
     raise FileNotFoundError(f"no folder with pyproject.toml and tras/ at or above {start}: {remedy}.")
 
 
-def umask():
+def umask() -> int:
     """The permissions that new files of this process do not get."""
     mask = os.umask(0)
     os.umask(mask)

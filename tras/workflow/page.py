@@ -7,6 +7,7 @@ import base64
 import html
 import re
 import struct
+from pathlib import Path
 
 import latex2mathml.converter
 import mistune
@@ -58,12 +59,12 @@ article { border-left: 3px solid #bbb; padding: .1rem 0 .1rem 1rem; margin: 1.6r
 """  # noqa: E501
 
 
-def escape(text):
+def escape(text) -> str:
     """Text for an element or an attribute; characters that no XML may hold become a replacement sign."""
     return html.escape(re.sub("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]", "\ufffd", str(text)))
 
 
-def formula(tex, *, display=False):
+def formula(tex: str, *, display: bool = False) -> str:
     r"""A formula as MathML; ``\tag{7}`` at the end of a displayed one puts the number to its right.
 
     >>> formula("x^2").partition(">")[2]
@@ -77,7 +78,7 @@ def formula(tex, *, display=False):
     return f'<div class="equation" tabindex="0">{mathml}{number}</div>\n'
 
 
-def table(head, rows, caption, *, keys=1, kind="numbers"):
+def table(head: list, rows: list, caption: str, *, keys: int = 1, kind: str = "numbers") -> str:
     """A table whose first ``keys`` columns name the row; cells are HTML already, the caption too.
 
     ``kind`` is "numbers" (columns of numbers stand to the right, no cell is broken), or for text "prose" or "short".
@@ -100,7 +101,7 @@ def table(head, rows, caption, *, keys=1, kind="numbers"):
     )
 
 
-def figure(path, alt, caption, identity):
+def figure(path: Path, alt: str, caption: str, identity: str) -> str:
     """A figure from a file ``path`` (.svg or .png), inside the page; ``caption`` is HTML, the others are text.
 
     A ValueError if the file is no picture of its kind.
@@ -114,7 +115,7 @@ def figure(path, alt, caption, identity):
     return f'<figure id="{escape(identity)}">{image}\n<figcaption>{caption}</figcaption></figure>\n'
 
 
-def picture(folder, name):
+def picture(folder: Path, name: str) -> Path | None:
     """The file that shows the figure ``name`` best: its SVG, or its PNG where the SVG is missing or large; or None."""
     svg, png = folder / f"{name}.svg", folder / f"{name}.png"
     if svg.is_file() and (svg.stat().st_size <= _LARGEST_SVG or not png.is_file()):
@@ -122,7 +123,7 @@ def picture(folder, name):
     return png if png.is_file() else None
 
 
-def converter(block, contents):
+def converter(block, contents: list):
     """A function from Markdown to HTML.
 
     ``block`` turns the kind of a fenced block and a dictionary, from the YAML in it, to HTML. Headings of levels 2 and
@@ -155,12 +156,12 @@ def converter(block, contents):
     return mistune.Markdown(Renderer(escape=True), plugins=[math])
 
 
-def inline(convert, text):
+def inline(convert, text) -> str:
     """Markdown of one line, without the paragraph round it."""
     return re.sub(r"^<p>(.*)</p>\s*$", r"\1", convert(" ".join(str(text).split())), flags=re.DOTALL)
 
 
-def frame(title, body, contents):
+def frame(title: str, body: str, contents: list) -> str:
     """The whole page: ``title`` is text, ``body`` HTML with an h2 somewhere, ``contents`` as from `converter`."""
     first, rest = re.split("(?=<h2)", body, maxsplit=1)
     chapters = []

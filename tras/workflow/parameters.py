@@ -19,7 +19,7 @@ class ParameterError(ValueError):
     """A parameter, or a file that should hold parameters, is not what the notebook needs."""
 
 
-def notebook_defaults(notebook):
+def notebook_defaults(notebook: str | Path) -> dict:
     """Parameters of a notebook, from its one cell tagged `parameters`: a dict, name -> default."""
     notebook = Path(notebook)
     cells = _read_notebook(notebook)["cells"]
@@ -64,7 +64,7 @@ def _read_notebook(notebook):
     return content
 
 
-def parse_yaml(text, where):
+def parse_yaml(text: str, where):
     """YAML, with an error instead of silence when a key stands twice."""
     import yaml
 
@@ -86,7 +86,7 @@ def parse_yaml(text, where):
         raise ParameterError(f"{where} is not valid YAML{line} ({problem}): correct it.") from None
 
 
-def read_params(path, notebook):
+def read_params(path: str | Path, notebook: str | Path) -> dict:
     """One notebook's section of a parameter file.
 
     Parameters
@@ -121,7 +121,7 @@ def read_params(path, notebook):
     return content.get(notebook.stem) or {}
 
 
-def parse_settings(settings):
+def parse_settings(settings: list[str]) -> dict:
     """`name=value` arguments of the command line as a dictionary, the values read as YAML.
 
     >>> parse_settings(["seed=3", "data_dir=build/data", "lags=[1, 2]"])
@@ -137,7 +137,7 @@ def parse_settings(settings):
     return values
 
 
-def check_parameters(values, defaults, where):
+def check_parameters(values: dict, defaults: dict, where: str) -> dict:
     """The values (name -> value) with the types of the defaults: a whole number in place of a float is a float.
 
     A name or a type that the defaults do not have is a ParameterError, which says ``where`` the values come from.

@@ -11,6 +11,7 @@ import platform
 import re
 import subprocess
 import sys
+from datetime import datetime
 from importlib import metadata
 from pathlib import Path
 
@@ -24,7 +25,7 @@ VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "PYTH
 INSTRUCTIONS = ("sse4_2", "avx", "fma", "avx2", "avx512f", "asimd", "sve")  # BLAS and libm choose by these
 
 
-def record(notebook, parameters, outputs, started, seconds):
+def record(notebook: Path, parameters: dict, outputs: list[Path], started: datetime, seconds: float) -> dict:
     """A record of what ran and what it wrote, as JSON holds it; ``parameters`` with the defaults."""
     return {
         "notebook": str(notebook),
@@ -44,12 +45,12 @@ def record(notebook, parameters, outputs, started, seconds):
     }
 
 
-def beside(artefact):
+def beside(artefact: Path) -> Path:
     """The path of an artefact's provenance: in the folder `provenance` beside it."""
     return artefact.parent / FOLDER / f"{artefact.name}.json"
 
 
-def write_beside(record):
+def write_beside(record: dict) -> None:
     """Write a file for each output of a stage: the stage's record, with the checksum of this output alone."""
     shared = {key: value for key, value in record.items() if key != "outputs"}
     for name, stamp in record["outputs"].items():
@@ -57,19 +58,19 @@ def write_beside(record):
             temporary.write_text(json.dumps({"artefact": name, **stamp, **shared}, indent=1) + "\n", encoding="utf-8")
 
 
-def file_stamp(path):
+def file_stamp(path: Path) -> dict:
     """Size, times and SHA-256 of a file, by which `tras/workflow/staleness.py` knows it again."""
     status = path.stat()
     times = {"mtime_ns": status.st_mtime_ns, "ctime_ns": status.st_ctime_ns}
     return {"size": status.st_size, **times, "sha256": checksum(path)}
 
 
-def checksum(path):
+def checksum(path: Path) -> str | None:
     """SHA-256 of a file in hexadecimal digits, None if it is not there."""
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.exists() else None
 
 
-def git_state(folder, outputs=()):
+def git_state(folder: Path, outputs=()) -> dict:
     """Revision, and the files other than ``outputs`` that differ from it; all None outside git or without commits."""
     try:
         revision = _git(folder, "rev-parse", "HEAD").strip()
@@ -86,7 +87,7 @@ def _git(folder, *command):
     return subprocess.run(["git", *command], cwd=folder, capture_output=True, text=True, check=True).stdout
 
 
-def versions():
+def versions() -> dict[str, str]:
     """Versions that decide the numbers of a recording or a model, for its attributes."""
     import numpy
     import scipy
@@ -97,7 +98,7 @@ def versions():
     return {"tras": tras.__version__, "python": platform.python_version(), **libraries}
 
 
-def packages():
+def packages() -> dict[str, str | None]:
     """Versions of the direct dependencies, which `environment.in` lists; None for one that is not installed."""
     requirements = ROOT / "environment.in"
     text = requirements.read_text(encoding="utf-8") if requirements.exists() else ""
@@ -110,12 +111,12 @@ def packages():
     return installed
 
 
-def processor():
+def processor() -> str:
     """The processor's name."""
     return _cpu("model name") or platform.processor() or platform.machine()
 
 
-def instructions():
+def instructions() -> list[str]:
     """Which of the vector instructions that decide last bits it has; empty where Linux does not say."""
     flags = (_cpu("flags") or _cpu("Features") or "").split()
     return [name for name in INSTRUCTIONS if name in flags]
@@ -129,7 +130,7 @@ def _cpu(entry):
     return match[1] if match else ""
 
 
-def summary():
+def summary() -> str:
     """This checkout and this machine in one line."""
     state, libraries = git_state(ROOT), versions()
     changes = " with changes" if state["dirty"] else ""

@@ -39,7 +39,7 @@ class Interrupted(KeyboardInterrupt):
     received = False  # the kernel manager asks here whether to wait for the kernel's farewell
 
 
-def run_notebook(notebook, executed, parameters=None, outputs=()):
+def run_notebook(notebook: str | Path, executed: str | Path, parameters: dict | None = None, outputs=()) -> float:
     """Execute a notebook; its executed copy appears under its final name only if everything went well.
 
     Parameters
@@ -190,7 +190,7 @@ def interruptible():
             signal.signal(each, handler)
 
 
-def main(arguments=None):
+def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code: 0, 1 (the run failed), 2 (the call was wrong), 130 or 143 (interrupted)."""
     purpose = "Run one notebook with checked parameters."
     parser = argparse.ArgumentParser(prog="python -m tras.workflow.runner", description=purpose)
