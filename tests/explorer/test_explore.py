@@ -317,10 +317,10 @@ def test_the_size_follows_the_dictionary_and_what_has_no_effect_is_grey(panel, m
 
 def test_a_change_of_the_dictionary_is_drawn_once(panel, monkeypatch):
     panel.set(SMALL)
-    drawn = []
-    monkeypatch.setattr(panel, "redraw", lambda: drawn.append(panel.choice))
+    choices = []
+    monkeypatch.setattr(panel, "redraw", lambda: choices.append(panel.choice))
     panel.controls["dictionary"].value = "mechanical"
-    assert drawn == [SMALL.replaced(dictionary="mechanical", size=8)]
+    assert choices == [SMALL.replaced(dictionary="mechanical", size=8)]
 
 
 def test_examples_are_put_into_the_controls(panel, monkeypatch):

@@ -194,13 +194,13 @@ def test_provenance_lies_beside_each_artefact(tmp_path, capsys):
     outputs = [tmp_path / "data" / "a.csv", tmp_path / "data" / "models" / "a.npz", tmp_path / "figures" / "a.csv"]
     writing = WRITES.format(paths=list(map(str, outputs)))
     path = write_notebook(tmp_path / "notebooks" / "a.ipynb", "seed = 1\nn = 2.0", writing)
-    left = tmp_path / "data" / ".a.abcd1234.csv"  # by a run that was killed
+    leftover = tmp_path / "data" / ".a.abcd1234.csv"  # by a run that was killed
     others = tmp_path / "data" / ".b.abcd1234.csv"
-    for file in (left, others):
+    for file in (leftover, others):
         file.parent.mkdir(exist_ok=True)
         file.touch()
     assert run(path, "--set", "seed=7", "--outputs", *outputs)[0] == 0
-    assert not left.exists() and others.exists()
+    assert not leftover.exists() and others.exists()
     for output in outputs:
         beside = json.loads((output.parent / "provenance" / f"{output.name}.json").read_text())
         assert beside["artefact"] == str(output) and beside["notebook"] == str(path)

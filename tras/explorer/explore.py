@@ -113,8 +113,8 @@ def numbers(outcome: Outcome) -> pd.DataFrame:
             for _, row in outcome.metrics[outcome.metrics["angle"] == angle].iterrows():
                 missing = "none left" if row["windows"] > 0 else ""
                 cells[row["model"]] = f"{row[column]:.4g}" if np.isfinite(row[column]) else missing
-    judged = outcome.metrics.query("angle == 'yaw' and windows > 0")
-    rows["ran away"] = {row["model"]: f"{row['diverged']:g} of {row['windows']:g}" for _, row in judged.iterrows()}
+    yaw = outcome.metrics.query("angle == 'yaw' and windows > 0")
+    rows["ran away"] = {row["model"]: f"{row['diverged']:g} of {row['windows']:g}" for _, row in yaw.iterrows()}
     table = pd.DataFrame.from_dict(rows, orient="index").reindex(columns=["Koopman", "linear", "paper"]).fillna("")
     table.loc[["NRMSE (%), yaw", "NRMSE (%), pitch"], "paper"] = [f"{value}" for value in PAPER_NRMSE.values()]
     return table
