@@ -1,4 +1,4 @@
-"""The explorer as its user has it: JupyterLab in Debian's chromium, opened by what `make lab` runs, driven by mouse and menus."""
+"""The explorer as its user has it: JupyterLab in chromium, opened as `make lab` does, driven by mouse and menus."""
 
 import os
 import re
@@ -31,22 +31,15 @@ def checkout(tmp_path_factory):
 @pytest.fixture(scope="module")
 def page(browser, checkout):
     """The page that `make lab` opens, run down to the panel."""
-    own = {"CONFIG_DIR": "config", "DATA_DIR": "share", "RUNTIME_DIR": "runtime"}
-    environment = os.environ | {f"JUPYTER_{name}": str(checkout / place) for name, place in own.items()}
+    folders = {"CONFIG_DIR": "config", "DATA_DIR": "share", "RUNTIME_DIR": "runtime"}
+    environment = os.environ | {f"JUPYTER_{name}": str(checkout / folder) for name, folder in folders.items()}
     environment |= {"IPYTHONDIR": str(checkout / "ipython"), "BROWSER": "true %s", "JUPYTER_PREFER_ENV_PATH": "1"}
     environment |= {f"JUPYTERLAB_{name}_DIR": str(checkout / name.lower()) for name in ("SETTINGS", "WORKSPACES")}
-    command = subprocess.run(
-        ["make", "--dry-run", "lab"], cwd=checkout, capture_output=True, text=True, check=True
-    ).stdout.splitlines()[-1]
+    lines = subprocess.check_output(["make", "--dry-run", "lab"], cwd=checkout, text=True).splitlines()
+    command = [*lines[-1].split(), "--port=0"]
     with (checkout / "lab.log").open("w") as log:
-        server = subprocess.Popen(
-            [*command.split(), "--port=0"],
-            cwd=checkout,
-            env=environment,
-            stdout=log,
-            stderr=log,
-            stdin=subprocess.DEVNULL,
-        )
+        streams = {"stdin": subprocess.DEVNULL, "stdout": log, "stderr": log}
+        server = subprocess.Popen(command, cwd=checkout, env=environment, **streams)
     try:
         context = browser.new_context(viewport={"width": 1400, "height": 1250})
         opened = context.new_page()
@@ -70,9 +63,8 @@ def _address(checkout, server):
     """Of the notebook, from the page that the server hands to the web browser."""
     for _ in range(PATIENCE // 100):
         for path in (checkout / "runtime").glob("jpserver-file-to-run-*-open.html"):
-            found = re.search(r'url=(http://[^"]+)"', path.read_text())
-            if found:
-                return found[1]
+            if match := re.search(r'url=(http://[^"]+)"', path.read_text()):
+                return match[1]
         assert server.poll() is None, (checkout / "lab.log").read_text()
         time.sleep(0.1)
     raise AssertionError((checkout / "lab.log").read_text())
@@ -82,8 +74,8 @@ def _address(checkout, server):
 def screenshot(request, page):
     """What the page looked like after each test, for a person to look at: TRAS_SCREENSHOTS names a folder."""
     yield
-    if place := os.environ.get("TRAS_SCREENSHOTS"):
-        page.screenshot(path=Path(place) / f"{request.node.name}.png")
+    if folder := os.environ.get("TRAS_SCREENSHOTS"):
+        page.screenshot(path=Path(folder) / f"{request.node.name}.png")
 
 
 def picture(page):
@@ -124,8 +116,8 @@ def eventually(page, holds):
 
 
 def functions(page):
-    found = re.match(r"N = (\d+) functions", message(page).inner_text())
-    return int(found[1]) if found else None
+    match = re.match(r"N = (\d+) functions", message(page).inner_text())
+    return int(match[1]) if match else None
 
 
 def test_make_lab_opens_the_explorer_and_it_shows_the_papers_choice(page):
@@ -135,36 +127,34 @@ def test_make_lab_opens_the_explorer_and_it_shows_the_papers_choice(page):
 
 
 def test_a_slider_changes_figure_and_numbers(page):
-    before, said = picture(page), numbers(page)
+    before, former = picture(page), numbers(page)
     drag(page, "size", 0.2)
-    eventually(page, lambda: picture(page) != before and numbers(page) != said and (functions(page) or 0) > 20)
+    eventually(page, lambda: picture(page) != before and numbers(page) != former and (functions(page) or 0) > 20)
 
 
 def test_a_menu_changes_figure_numbers_and_what_can_be_set(page):
-    before, said = picture(page), numbers(page)
+    before, former = picture(page), numbers(page)
     row(page, "dictionary").locator("select").select_option("monomials")
-    eventually(page, lambda: picture(page) != before and numbers(page) != said and functions(page) == 28)
+    eventually(page, lambda: picture(page) != before and numbers(page) != former and functions(page) == 28)
     assert row(page, "width").locator(".noUi-target").get_attribute("disabled") is not None
 
 
 def test_a_wrong_choice_is_answered_by_a_sentence(page):
-    before, said = picture(page), numbers(page)
+    before = picture(page), numbers(page)
     drag(page, "duration (s)", -0.1)
     message(page).filter(has_text="cannot be simulated").wait_for()
-    assert (
-        "raise it or the duration" in message(page).inner_text()
-        and "Traceback" not in page.locator(".jp-Notebook").inner_text()
-    )
-    assert (picture(page), numbers(page)) == (before, said)
+    assert "raise it or the duration" in message(page).inner_text()
+    assert "Traceback" not in page.locator(".jp-Notebook").inner_text()
+    assert (picture(page), numbers(page)) == before
     drag(page, "duration (s)", 0.3)
-    eventually(page, lambda: picture(page) != before and functions(page) == 28)
+    eventually(page, lambda: picture(page) != before[0] and functions(page) == 28)
 
 
 def test_the_choice_is_kept_as_a_parameter_file(page, checkout):
     page.get_by_role("button", name="write params/NAME.yaml").click()
     page.get_by_text("make all PROFILE=mine", exact=False).first.wait_for()
-    kept = yaml.safe_load((checkout / "params" / "mine.yaml").read_text())["09_pictures"]["choice"]
-    assert kept["dictionary"] == "monomials" and kept["size"] == 2 and 200 < kept["duration"] < 500
+    choice = yaml.safe_load((checkout / "params" / "mine.yaml").read_text())["09_pictures"]["choice"]
+    assert choice["dictionary"] == "monomials" and choice["size"] == 2 and 200 < choice["duration"] < 500
 
 
 def test_the_notebook_runs_to_its_end(page):

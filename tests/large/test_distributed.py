@@ -108,7 +108,7 @@ def test_one_local_process_has_the_same_bits(paths, monkeypatch):
 def test_a_part_that_kills_every_worker_is_named(paths, monkeypatch):
     monkeypatch.setattr(
         executors,
-        "_processes",
+        "run_locally",
         lambda work, jobs, *_: ((k, lambda: executors.Lost("its process was killed")) for k in range(len(jobs))),
     )
     with pytest.raises(SchedulerError, match="part 0 of 3 was lost: its process was killed; use a smaller chunk"):

@@ -1,4 +1,4 @@
-"""Jobs done somewhere: every result once, workers killed on the way, jobs that kill every worker, schedulers and workers that do not serve.
+"""Jobs done somewhere: every result once, workers that are killed, jobs that kill them all, schedulers that fail.
 
 The jobs import nothing of the package, so that the processes start quickly.
 """
@@ -20,18 +20,15 @@ from tras.workflow.executors import Lost, SchedulerError
 JOBS = [(k,) for k in range(6)]
 
 
-def places(cluster):
-    return {"here": None, "processes": "processes", "dask": cluster.scheduler_address}
+@pytest.fixture(params=["processes", "dask"])
+def elsewhere(request, cluster):
+    return {"scheduler": cluster.scheduler_address if request.param == "dask" else "processes", "processes": 2}
 
 
 @pytest.fixture(params=["here", "processes", "dask"])
-def place(request, cluster):
-    return {"scheduler": places(cluster)[request.param], "processes": 2}
-
-
-@pytest.fixture(params=["processes", "dask"])
-def elsewhere(request, cluster):
-    return {"scheduler": places(cluster)[request.param], "processes": 2}
+def anywhere(request, cluster):
+    schedulers = {"here": None, "processes": "processes", "dask": cluster.scheduler_address}
+    return {"scheduler": schedulers[request.param], "processes": 2}
 
 
 def square():
@@ -56,11 +53,11 @@ def killing(marker, job, forever=False):
     return work
 
 
-def test_every_result_is_given_once_and_in_order_if_asked(place):
-    wanted = [(k, 10 + k * k) for k in range(6)]
-    assert sorted(executors.run(square(), JOBS, (10,), **place)) == wanted
-    assert list(executors.run(square(), JOBS, (10,), ordered=True, **place)) == wanted
-    assert list(executors.run(square(), [], (10,), **place)) == []
+def test_every_result_is_given_once_and_in_order_if_asked(anywhere):
+    expected = [(k, 10 + k * k) for k in range(6)]
+    assert sorted(executors.run(square(), JOBS, (10,), **anywhere)) == expected
+    assert list(executors.run(square(), JOBS, (10,), ordered=True, **anywhere)) == expected
+    assert list(executors.run(square(), [], (10,), **anywhere)) == []
 
 
 def test_a_killed_worker_costs_time_only(elsewhere, tmp_path):
@@ -72,24 +69,22 @@ def test_a_killed_worker_costs_time_only(elsewhere, tmp_path):
 def test_a_job_that_kills_every_worker_is_lost_and_the_others_are_done(elsewhere, cluster, tmp_path):
     allowed, cluster.scheduler.allowed_failures = cluster.scheduler.allowed_failures, 0  # for speed
     try:
-        found = dict(executors.run(killing(tmp_path / "marker", 2, forever=True), JOBS, **elsewhere))
+        results = dict(executors.run(killing(tmp_path / "marker", 2, forever=True), JOBS, **elsewhere))
     finally:
         cluster.scheduler.allowed_failures = allowed
-    assert isinstance(found.pop(2), Lost) and found == {k: k * k for k in range(6) if k != 2}
+    assert isinstance(results.pop(2), Lost) and results == {k: k * k for k in range(6) if k != 2}
 
 
-def test_what_a_job_raises_is_raised_here(place):
+def test_what_a_job_raises_is_raised_here(anywhere):
     def work(k):
         if k == 3:
             raise ValueError("three is no job")
         return k
 
     with pytest.raises(ValueError, match="three is no job"):
-        list(executors.run(work, JOBS, **place))
-    assert sorted(executors.run(square(), JOBS[:2], (0,), **place)) == [
-        (0, 0),
-        (1, 1),
-    ]  # and the next run is not disturbed
+        list(executors.run(work, JOBS, **anywhere))
+    results = sorted(executors.run(square(), JOBS[:2], (0,), **anywhere))
+    assert results == [(0, 0), (1, 1)]  # and the next run is not disturbed
 
 
 def test_who_stops_asking_stops_the_work(elsewhere, tmp_path):
@@ -129,9 +124,8 @@ def test_the_scheduler_looks_for_workers_that_differ(cluster):
 
         return {"place": str(os.getpid())}
 
-    with pytest.raises(
-        SchedulerError, match=f"worker tcp://.* has place .* but {os.getpid()} is needed; install environment.txt there"
-    ):
+    words = f"worker tcp://.* has place .* but {os.getpid()} is needed; install environment.txt there"
+    with pytest.raises(SchedulerError, match=words):
         list(executors.run(square(), JOBS, (0,), scheduler=cluster.scheduler_address, alike=alike))
 
 
@@ -155,10 +149,8 @@ def test_a_worker_without_the_package_is_named(cluster):
         return {}
 
     pid = os.getpid()
-    with pytest.raises(
-        SchedulerError,
-        match="worker tcp://.* cannot import tras .No module named 'tras'.; install environment.txt and this package there",
-    ):
+    words = "cannot import tras .No module named 'tras'.; install environment.txt and this package there"
+    with pytest.raises(SchedulerError, match=f"worker tcp://.* {words}"):
         list(executors.run(square(), JOBS, (0,), scheduler=cluster.scheduler_address, alike=alike))
 
 
@@ -174,9 +166,8 @@ def test_a_scheduler_without_workers_is_named(monkeypatch):
 def test_a_scheduler_that_goes_away_is_named(monkeypatch):
     from distributed import LocalCluster
 
-    with LocalCluster(
-        n_workers=1, threads_per_worker=1, dashboard_address=":0", processes=False, protocol="tcp"
-    ) as cluster:
+    options = {"threads_per_worker": 1, "dashboard_address": ":0", "processes": False, "protocol": "tcp"}
+    with LocalCluster(n_workers=1, **options) as cluster:
         results = executors.run(square(), [(k,) for k in range(40)], (0,), scheduler=cluster.scheduler_address)
         next(results)
         cluster.close()
@@ -191,9 +182,8 @@ def test_another_kind_of_server_is_no_scheduler(monkeypatch):
         accepted = []
         thread = threading.Thread(target=lambda: accepted.append(server.accept()))
         thread.start()
-        with pytest.raises(
-            SchedulerError, match="cannot be reached within 0.3 s; start one .docs/scale.md., or give another address"
-        ):
+        words = "cannot be reached within 0.3 s; start one .docs/scale.md., or give another address"
+        with pytest.raises(SchedulerError, match=words):
             list(executors.run(square(), JOBS, (0,), scheduler=f"tcp://127.0.0.1:{server.getsockname()[1]}"))
         thread.join()
         accepted[0][0].close()
@@ -201,9 +191,8 @@ def test_another_kind_of_server_is_no_scheduler(monkeypatch):
 
 @pytest.mark.parametrize("scheduler", ["cluster", 8786, ("tcp", "host")])
 def test_what_is_no_scheduler_is_refused(scheduler):
-    with pytest.raises(
-        ValueError, match="scheduler is .*; give None, 'processes', or an address such as 'tcp://host:8786'"
-    ):
+    words = "scheduler is .*; give None, 'processes', or an address such as 'tcp://host:8786'"
+    with pytest.raises(ValueError, match=words):
         list(executors.run(square(), JOBS, scheduler=scheduler))
 
 
@@ -218,7 +207,7 @@ def test_the_pool_that_joblib_shares_is_left_alone():
 def test_a_script_needs_no_guard_and_its_functions_travel_by_value(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
-        "from tras import executors\n"
+        "from tras.workflow import executors\n"
         "print('once')\n"
         "def half(k): return k / 2\n"
         "print(list(executors.run(half, [(1,), (3,)], scheduler='processes', processes=2, ordered=True)))\n"

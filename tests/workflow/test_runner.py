@@ -30,13 +30,11 @@ anything = None
 
 def write_notebook(path, *sources, tagged=(0,)):
     """A notebook of code cells; those whose number is in `tagged` are parameters cells."""
-    notebook = nbformat.v4.new_notebook(
-        metadata={"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}
-    )
+    kernel = {"name": "python3", "display_name": "Python 3", "language": "python"}
+    notebook = nbformat.v4.new_notebook(metadata={"kernelspec": kernel})
     for number, source in enumerate(sources):
-        notebook.cells.append(
-            nbformat.v4.new_code_cell(source, metadata={"tags": ["parameters"]} if number in tagged else {})
-        )
+        metadata = {"tags": ["parameters"]} if number in tagged else {}
+        notebook.cells.append(nbformat.v4.new_code_cell(source, metadata=metadata))
     path.parent.mkdir(exist_ok=True)
     nbformat.write(notebook, path)
     return path
@@ -53,7 +51,7 @@ def run(notebook, *arguments):
     return runner.main([str(notebook), str(executed), *map(str, arguments)]), executed
 
 
-# --- parameters: nothing is started for a wrong one ----------------------------------------------------------------------------
+# --- parameters: nothing is started for a wrong one ---
 
 MISTAKES = [
     ("durration: 3.0", r"no parameter `durration`: did you mean 'duration'\?"),
@@ -91,9 +89,9 @@ def test_wrong_parameters_are_refused_in_one_sentence(notebook, section, message
 
 def test_right_parameters_pass_with_the_defaults_types():
     defaults = {"x": 1.0, "seed": 1, "free": None, "lags": [1, 2.5], "gains": {"phi": 1.0}, "empty": []}
-    given = {"x": 2, "free": "a", "lags": [3, 4, 5], "gains": {"phi": 3, "other": 4}, "empty": ["a", 1]}
-    checked = parameters.check_parameters(given, defaults, "here")
-    assert checked == given
+    values = {"x": 2, "free": "a", "lags": [3, 4, 5], "gains": {"phi": 3, "other": 4}, "empty": ["a", 1]}
+    checked = parameters.check_parameters(values, defaults, "here")
+    assert checked == values
     assert [type(value) for value in (checked["x"], checked["gains"]["phi"], checked["gains"]["other"])] == [float] * 3
 
 
@@ -145,11 +143,11 @@ def test_a_missing_or_broken_notebook_is_refused(tmp_path):
         parameters.notebook_defaults(tmp_path / "broken.ipynb")
 
 
-# --- runs ----------------------------------------------------------------------------------------------------------------------
+# --- runs ---
 
 
 def test_fail_repair_succeed(tmp_path, capsys):
-    """One stage through its life: a failing cell, an output that is not written, success, and nothing left of the failures."""
+    """One stage through its life: a cell fails, an output is not written, success, and nothing left of the failures."""
     path = tmp_path / "notebooks" / "01_stage.ipynb"
     output = tmp_path / "data" / "x.txt"
     build = tmp_path / "build"
@@ -157,11 +155,8 @@ def test_fail_repair_succeed(tmp_path, capsys):
     write_notebook(path, "n = 1.0", "before = 1", "1 / 0  # here", "print('never')")
     code, executed = run(path, "--outputs", output)
     error = capsys.readouterr().err
-    assert (
-        code == 1
-        and "failed in cell [3]: ZeroDivisionError: division by zero" in error
-        and "    1 / 0  # here" in error
-    )
+    assert code == 1 and "failed in cell [3]: ZeroDivisionError: division by zero" in error
+    assert "    1 / 0  # here" in error
     assert str(build / "01_stage.failed.ipynb") in error
     assert [file.name for file in build.iterdir()] == ["01_stage.failed.ipynb"]
 
@@ -197,16 +192,15 @@ for path in {paths!r}:
 @pytest.mark.slow
 def test_provenance_lies_beside_each_artefact(tmp_path, capsys):
     outputs = [tmp_path / "data" / "a.csv", tmp_path / "data" / "models" / "a.npz", tmp_path / "figures" / "a.csv"]
-    path = write_notebook(
-        tmp_path / "notebooks" / "a.ipynb", "seed = 1\nn = 2.0", WRITES.format(paths=list(map(str, outputs)))
-    )
-    left = tmp_path / "data" / ".a.abcd1234.csv"  # by a run that was killed
+    writing = WRITES.format(paths=list(map(str, outputs)))
+    path = write_notebook(tmp_path / "notebooks" / "a.ipynb", "seed = 1\nn = 2.0", writing)
+    leftover = tmp_path / "data" / ".a.abcd1234.csv"  # by a run that was killed
     others = tmp_path / "data" / ".b.abcd1234.csv"
-    for file in (left, others):
+    for file in (leftover, others):
         file.parent.mkdir(exist_ok=True)
         file.touch()
     assert run(path, "--set", "seed=7", "--outputs", *outputs)[0] == 0
-    assert not left.exists() and others.exists()
+    assert not leftover.exists() and others.exists()
     for output in outputs:
         beside = json.loads((output.parent / "provenance" / f"{output.name}.json").read_text())
         assert beside["artefact"] == str(output) and beside["notebook"] == str(path)
@@ -220,9 +214,8 @@ def test_provenance_lies_beside_each_artefact(tmp_path, capsys):
     assert json.loads(first)["seeds"] == {"seed": 7} and second["seeds"] == {"seed": 1}
     write_notebook(path, "seed = 1", "1 / 0")
     assert run(path, "--outputs", *outputs)[0] == 1
-    assert not (
-        outputs[0].parent / "provenance" / "a.csv.json"
-    ).exists()  # it would speak of a run that was not this file's last
+    record = outputs[0].parent / "provenance" / "a.csv.json"
+    assert not record.exists()  # it would speak of a run that was not this file's last
 
 
 def test_the_state_of_git(tmp_path):
@@ -235,16 +228,12 @@ def test_the_state_of_git(tmp_path):
         subprocess.run([*git, *command], check=True)
     clean = provenance.git_state(tmp_path)
     assert re.fullmatch("[0-9a-f]{40}", clean["revision"]) and clean["dirty"] is False and clean["changed"] == []
-    (tmp_path / "figures" / "plot 1.png").write_text("2")
-    assert (
-        provenance.git_state(tmp_path / "figures", [tmp_path / "figures" / "plot 1.png"]) == clean
-    )  # what the run itself writes
+    output = tmp_path / "figures" / "plot 1.png"
+    output.write_text("2")
+    assert provenance.git_state(tmp_path / "figures", [output]) == clean  # what the run itself writes
     assert provenance.git_state(tmp_path)["changed"] == ["figures/plot 1.png"]
     (tmp_path / "a.py").write_text("2")
-    assert provenance.git_state(tmp_path, [tmp_path / "figures" / "plot 1.png"]) == clean | {
-        "dirty": True,
-        "changed": ["a.py"],
-    }
+    assert provenance.git_state(tmp_path, [output]) == clean | {"dirty": True, "changed": ["a.py"]}
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -253,13 +242,9 @@ def test_an_interrupted_run_leaves_nothing_under_the_final_name(tmp_path, number
     started, executed = tmp_path / "started", tmp_path / "build" / "a.ipynb"
     code = f"import os, pathlib\npathlib.Path({str(started)!r}).write_text(str(os.getpid()))\nwhile True: pass"
     notebook = write_notebook(tmp_path / "notebooks" / "a.ipynb", "n = 1", code)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tras.workflow.runner", notebook, executed],
-        cwd=ROOT,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a test run in the background ignores it
-    )
+    command = [sys.executable, "-m", "tras.workflow.runner", notebook, executed]
+    heed = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)  # noqa: E731  a test run in the background ignores it
+    process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True, preexec_fn=heed)
     wait_for(lambda: started.exists() and started.read_text())
     process.send_signal(number)
     _, error = process.communicate(timeout=30)
@@ -273,8 +258,11 @@ def test_an_interrupted_run_leaves_nothing_under_the_final_name(tmp_path, number
 @pytest.mark.slow
 def test_a_kernel_and_its_workers_end_with_a_runner_that_is_killed(tmp_path):
     started = tmp_path / "started"
-    code = f"import os, pathlib, subprocess\nworker = subprocess.Popen(['sleep', '60'])\nfinal = pathlib.Path({str(started)!r})\n"
-    code += "final.with_suffix('.part').write_text(f'{os.getpid()} {worker.pid}')\nfinal.with_suffix('.part').rename(final)\nwhile True: pass"
+    code = (
+        f"import os, pathlib, subprocess\nfinal = pathlib.Path({str(started)!r})\npart = final.with_suffix('.part')\n"
+    )
+    code += "worker = subprocess.Popen(['sleep', '60'])\npart.write_text(f'{os.getpid()} {worker.pid}')\n"
+    code += "part.rename(final)\nwhile True: pass"
     notebook = write_notebook(tmp_path / "notebooks" / "a.ipynb", "n = 1", code)
     command = [sys.executable, "-m", "tras.workflow.runner", notebook, tmp_path / "build" / "a.ipynb"]
     process = subprocess.Popen(command, cwd=ROOT)
@@ -300,7 +288,7 @@ def wait_for(condition, seconds=30):
         time.sleep(0.05)
 
 
-# --- the project's root --------------------------------------------------------------------------------------------------------
+# --- the project's root ---
 
 
 def test_project_root_is_found_from_below(tmp_path):

@@ -45,12 +45,10 @@ def project(tmp_path, monkeypatch):
     return tmp_path
 
 
-def write_notebook(path, *sources, text="Some text.", outputs=()):
+def write_notebook(path, *sources, text="Some text."):
     cells = [{"cell_type": "markdown", "source": [text], "metadata": {}}]
     for source in sources:
-        cells.append(
-            {"cell_type": "code", "source": source, "metadata": {}, "outputs": list(outputs), "execution_count": None}
-        )
+        cells.append({"cell_type": "code", "source": source, "metadata": {}, "outputs": [], "execution_count": None})
     path.write_text(json.dumps({"cells": cells, "metadata": {}, "nbformat": 4, "nbformat_minor": 5}))
 
 
@@ -81,12 +79,8 @@ HARMLESS = {
     "comment and blank lines": lambda: change("tras/plant.py", "def", "# a comment\n\n\ndef"),
     "a new docstring": lambda: change("tras/plant.py", "    return", '    """As tras.mplstyle has it."""\n    return'),
     "text of a notebook": lambda: change("notebooks/01_fit.ipynb", "Some text.", "Other text."),
-    "outputs": lambda: write_notebook(
-        Path("notebooks/01_fit.ipynb"), "from tras import fit", "fit()", outputs=[{"output_type": "stream"}]
-    ),
-    "metadata": lambda: change(
-        "notebooks/01_fit.ipynb", '"metadata": {}, "nbformat"', '"metadata": {"a": 1}, "nbformat"'
-    ),
+    "outputs": lambda: change("notebooks/01_fit.ipynb", '"outputs": []', '"outputs": [{"output_type": "stream"}]'),
+    "metadata": lambda: change("notebooks/01_fit.ipynb", '{}, "nbformat"', '{"a": 1}, "nbformat"'),
     "comment in the parameters": lambda: change("params.yaml", "# samples", "# number of samples"),
     "a module that nobody imports": lambda: change("tras/lonely.py", "", "x = 1"),
     "a new module": lambda: Path("tras/new.py").write_text("x = 1"),
@@ -129,9 +123,8 @@ async def wait():
 def test_a_docstring_does_not_count_and_any_other_string_does(project, digests, monkeypatch):
     def digest():
         if digests == "key of a stage":
-            return staleness.key_of(
-                Path("notebooks/01_fit.ipynb"), Path("params.yaml"), Path("environment.txt"), package()
-            )
+            paths = map(Path, ("notebooks/01_fit.ipynb", "params.yaml", "environment.txt"))
+            return staleness.key_of(*paths, package())
         monkeypatch.setattr(cache, "_package", package)
         return cache.code_digest.__wrapped__("tras.plant")
 
@@ -200,25 +193,22 @@ IMPORTS = {
     "x = (1\n     % 2)\nimport tras.plant": {"plant"},
 }
 ALL = set(MODULES) - {"__init__"}
-IMPORTS |= dict.fromkeys(
-    [
-        "import tras\ntras.unknown",
-        "import tras\ngetattr(tras, name)",
-        "from tras import *",
-        "from tras import unknown",
-        "from importlib import import_module\nimport_module(name)",
-        "this is no Python",
-    ],
-    ALL,
-)
+IMPORTS |= {
+    "import tras\ntras.unknown": ALL,
+    "import tras\ngetattr(tras, name)": ALL,
+    "from tras import *": ALL,
+    "from tras import unknown": ALL,
+    "from importlib import import_module\nimport_module(name)": ALL,
+    "this is no Python": ALL,
+}
 
 
 @pytest.mark.parametrize("code", IMPORTS)
 def test_imports_are_resolved(project, code):
     package = staleness.Package(Path("tras"))
-    found = package.needs(staleness.cells_tree([code]))
+    modules = package.needs(staleness.cells_tree([code]))
     expected = IMPORTS[code]
-    assert found == (set() if expected is None else {f"tras.{name}" for name in expected} | {"tras"})
+    assert modules == (set() if expected is None else {f"tras.{name}" for name in expected} | {"tras"})
 
 
 RELATIVE = {
@@ -232,8 +222,8 @@ RELATIVE = {
 @pytest.mark.parametrize("code", RELATIVE)
 def test_relative_imports_are_resolved(project, code):
     package = staleness.Package(Path("tras"))
-    found = package.needs(staleness.cells_tree([code]), "tras.model")
-    assert found - {"tras"} == {f"tras.{name}" for name in RELATIVE[code]}
+    modules = package.needs(staleness.cells_tree([code]), "tras.model")
+    assert modules - {"tras"} == {f"tras.{name}" for name in RELATIVE[code]}
 
 
 @pytest.fixture
@@ -243,9 +233,8 @@ def built(project):
     for name in names:
         Path(name).write_text("1")
     stale()
-    Path("build/01_fit.json").write_text(
-        json.dumps({"outputs": {name: provenance.file_stamp(Path(name)) for name in names}})
-    )
+    outputs = {name: provenance.file_stamp(Path(name)) for name in names}
+    Path("build/01_fit.json").write_text(json.dumps({"outputs": outputs}))
     Path("build/01_fit.ipynb").touch()
     assert stale() == []
     return project
@@ -268,18 +257,20 @@ DAMAGES = {
     "all of them": (lambda: [Path(f"{name}.csv").unlink() for name in "abcd"],
                     "a.csv was deleted, b.csv was deleted, c.csv was deleted, d.csv was deleted"),
     "the record deleted": (lambda: Path("build/01_fit.json").unlink(), "build/01_fit.json was deleted or damaged"),
-    "the record damaged": (lambda: Path("build/01_fit.json").write_text("{"), "build/01_fit.json was deleted or damaged"),
-    "with a change of code": (lambda: (Path("a.csv").unlink(), change("tras/model.py", "fit", "fit2")), "tras.model changed, a.csv was deleted"),
+    "the record damaged": (lambda: Path("build/01_fit.json").write_text("{"),
+                           "build/01_fit.json was deleted or damaged"),
+    "with a change of code": (lambda: (Path("a.csv").unlink(), change("tras/model.py", "fit", "fit2")),
+                              "tras.model changed, a.csv was deleted"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("what", DAMAGES)
 def test_a_damaged_output_is_named_and_its_stage_out_of_date(built, what, capsys):
-    make, said = DAMAGES[what]
-    make()
+    damage, sentence = DAMAGES[what]
+    damage()
     assert stale() == ["01_fit"]
     printed = capsys.readouterr().out
-    assert printed.startswith(f"01_fit is out of date: {said}") and printed.count("\n") == 1
+    assert printed.startswith(f"01_fit is out of date: {sentence}") and printed.count("\n") == 1
 
 
 def test_touching_or_copying_an_output_is_no_damage(built, capsys):
@@ -319,16 +310,6 @@ def test_missing_files_are_named(project):
 
 
 def test_it_runs_as_a_plain_script_without_packages(project):
-    command = [
-        sys.executable,
-        "-I",
-        "-S",
-        staleness.__file__,
-        "--build",
-        "build",
-        "--params",
-        "params.yaml",
-        "notebooks/01_fit.ipynb",
-    ]
-    subprocess.run(command, check=True)
+    options = "--build build --params params.yaml notebooks/01_fit.ipynb".split()
+    subprocess.run([sys.executable, "-I", "-S", staleness.__file__, *options], check=True)
     assert "tras.plant: " in Path("build/01_fit.key").read_text()

@@ -1,4 +1,5 @@
 """The panel of `notebooks/explore.ipynb`.
 
-Read `choice` first (what can be set), then `explore` (what a choice leads to). `widgets` is the panel, `figures` and `portraits` draw.
+Read `choice` first (what can be set), then `explore` (what a choice leads to). `widgets` is the panel; `figures` draws,
+also what `portraits` computes.
 """

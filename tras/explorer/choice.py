@@ -1,21 +1,19 @@
 """One choice of experiment, model and judgement: what the explorer's controls and a parameter file hold.
 
-What the paper leaves open has the words of `tras.paper.readings`; the rest comes on top. The defaults are the paper's:
-references as input, two Gaussians, least squares, equation (18), 500 s at 0.01 s, windows of 6 s.
+What the paper leaves open has the words of `tras.paper.readings`; the rest comes on top. The defaults are the paper's.
 
 `write_parameters` writes a choice as ``params/NAME.yaml``, with which `make all PROFILE=NAME` runs every stage. Stage
-09 takes the whole choice, the others the part that concerns them: the experiment (01), the paper's dictionary and the
-way to the field (02), the windows (03), the reading (06). The studies 05 and 07 vary the data and need enough of
-them; on a recording other than the paper's they run at the small size of params/smoke.yaml.
+09 takes the whole choice, the others the part that concerns them. The studies 05 and 07 vary the data and need enough
+of them; on a recording other than the paper's they run at the small size of params/smoke.yaml.
 """
 
-import math
 import re
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 from tras.paper import readings
 from tras.paper.grid import FREQUENCY
+from tras.workflow.arguments import number, whole_number
 from tras.workflow.files import project_root, replacing
 from tras.workflow.parameters import parse_yaml
 
@@ -118,7 +116,7 @@ class Choice:
     >>> Choice(dictionary="monomials", size=9)
     Traceback (most recent call last):
         ...
-    tras.explorer.choice.ChoiceError: size is 9: with dictionary = monomials it is the degree, 1 to 5.
+    tras.explorer.choice.ChoiceError: size is 9; give 1 to 5: with dictionary = monomials it is the degree.
     """
 
     input: str = "reference"
@@ -145,29 +143,30 @@ class Choice:
             if getattr(self, name) not in meanings:
                 raise ChoiceError(f"{name} is {getattr(self, name)!r}: choose one of {', '.join(meanings)}.")
         for name, (low, high, unit) in RANGES.items():
-            _check_number(name, getattr(self, name), low, high, unit, whole=isinstance(getattr(type(self), name), int))
+            whole = isinstance(getattr(type(self), name), int)
+            check, kind = (whole_number, "whole number") if whole else (number, "number")
+            allowed = f"a {kind} from {low:g} to {high:g} {unit}".rstrip()
+            check(name, getattr(self, name), low, high, give=allowed, error=ChoiceError)
         low, high, _, meaning = SIZES[self.dictionary]
-        if isinstance(self.size, bool) or not isinstance(self.size, int) or not low <= self.size <= high:
-            raise ChoiceError(
-                f"size is {self.size!r}: with dictionary = {self.dictionary} it is {meaning}, {low} to {high}."
-            )
+        allowed = f"{low} to {high}: with dictionary = {self.dictionary} it is {meaning}"
+        whole_number("size", self.size, low, high, give=allowed, error=ChoiceError)
 
-    def replaced(self, **changes):
+    def replaced(self, **changes) -> "Choice":
         """A copy with other values, checked."""
         return replace(self, **changes)
 
-    def as_dict(self):
+    def as_dict(self) -> dict:
         """Name -> value, in order."""
         return asdict(self)
 
-    def reading(self):
+    def reading(self) -> readings.Readings:
         """The `Readings` nearest to the choice: the default where the paper's text has no name for what is chosen."""
         names = (f"{self.dictionary}{self.size}", self.dictionary)  # gaussian28, monomials2; gaussian, linear
         dictionary = next((name for name in names if name in readings.choices("dictionary")), "gaussian")
         return readings.Readings(dictionary=dictionary, **{name: getattr(self, name) for name in SHARED})
 
 
-def choice_of(values):
+def choice_of(values: dict) -> Choice:
     """A `Choice` from a mapping, such as a section of a parameter file; what is left out has its default."""
     names = [field.name for field in fields(Choice)]
     for name in values:
@@ -176,13 +175,6 @@ def choice_of(values):
     if values.get("state") == "angles":  # files of the explorer before it took the word of the readings
         values = {**values, "state": "delayed_angles"}
     return Choice(**values)
-
-
-def _check_number(name, value, low, high, unit, whole):
-    number = isinstance(value, int if whole else (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-    if not number or not low <= value <= high:
-        kind = "a whole number" if whole else "a number"
-        raise ChoiceError(f"{name} is {value!r}: give {kind} from {low:g} to {high:g}{' ' + unit if unit else ''}.")
 
 
 _CUBIC = {"input": "torque", "dictionary": "monomials", "size": 3, "field": "coordinates"}
@@ -203,19 +195,10 @@ EXAMPLES = {
 }
 
 
-def parameter_sections(choice, small=None):
-    """What the choice means for each notebook.
+def parameter_sections(choice: Choice, small: dict | None = None) -> dict[str, dict]:
+    """What the choice means for each notebook: notebook -> {parameter: value}, without those that keep their defaults.
 
-    Parameters
-    ----------
-    choice : Choice
-    small : dict, optional
-        Parameters of the studies 05 and 07 for recordings other than the paper's, notebook -> parameters.
-
-    Returns
-    -------
-    dict
-        Notebook -> {parameter: value}; the notebook's own value holds for what is left out.
+    ``small`` has the same form: the parameters of the studies 05 and 07 for recordings other than the paper's.
     """
     paper, factor = Choice(), FREQUENCY[choice.frequency_unit]
     notebooks = {
@@ -241,7 +224,7 @@ def parameter_sections(choice, small=None):
     return dict(sorted(notebooks.items()))
 
 
-def parameter_text(choice, name, small=None):
+def parameter_text(choice: Choice, name: str, small: dict | None = None) -> str:
     """The file: YAML that `tras.workflow.parameters` reads."""
     import yaml
 
@@ -249,26 +232,14 @@ def parameter_text(choice, name, small=None):
     return f"{FIRST_LINE}: make all PROFILE={name} runs it.\n\n{body}"
 
 
-def write_parameters(choice, name, folder=None):
-    """Write ``params/NAME.yaml``.
-
-    Parameters
-    ----------
-    choice : Choice
-    name : str
-        Letters, digits, ``-`` and ``_``.
-    folder : str or Path, optional
-        By default ``params/`` of the project.
-
-    Returns
-    -------
-    pathlib.Path
+def write_parameters(choice: Choice, name: str, folder: str | Path | None = None) -> Path:
+    """Write ``NAME.yaml`` into a folder, by default ``params/`` of the project, and return its path.
 
     Raises
     ------
     ChoiceError
-        (a ValueError) If the name has other characters, is one of the project's own, or belongs to a file that the
-        explorer has not written.
+        (a ValueError) If the name has other characters than letters, digits, ``-`` and ``_``, is one of the project's
+        own, or belongs to a file that the explorer has not written.
     """
     folder = Path(folder or project_root() / "params")
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):

@@ -15,11 +15,11 @@ from tras.dictionaries.monomials import Monomials
 from tras.dictionaries.radial import GaussianRBF
 from tras.dictionaries.waves import Exponentials, Fourier
 from tras.explorer.choice import Choice, ChoiceError
-from tras.generator import LogarithmError
 from tras.identification.noise import add_noise
 from tras.model import KoopmanModel
 from tras.paper import grid, validation
 from tras.paper.readings import PAPER_NRMSE
+from tras.recording import Recording
 from tras.twin_rotor.closed_loop import INPUTS
 
 TRAJECTORY = 5.0  # s, pieces of the training recording
@@ -29,7 +29,7 @@ MOST = 300  # functions; more take seconds
 
 @dataclass(frozen=True)
 class Outcome:
-    """A choice with its model and the results.
+    """What a choice leads to.
 
     Attributes
     ----------
@@ -57,20 +57,12 @@ class Outcome:
     overlay: pd.DataFrame
     growth: pd.DataFrame
     spectrum: pd.DataFrame
-    window: object
+    window: Recording
     remarks: tuple[str, ...]
 
 
-def explore(choice):
-    """Identify the chosen model and judge it on an independent recording, beside the linear model and the paper.
-
-    Parameters
-    ----------
-    choice : Choice
-
-    Returns
-    -------
-    Outcome
+def explore(choice: Choice) -> Outcome:
+    """The `Outcome` of a choice: its model, judged on an independent recording beside the linear model and the paper.
 
     Raises
     ------
@@ -86,45 +78,33 @@ def explore(choice):
     """
     train, fresh = training(choice), validation_windows(choice)
     model = identify(choice, train)
+    models, absent = {"Koopman": model}, []
     try:
-        linear = identify(choice.replaced(dictionary="linear", regularization="none"), train)
-        absent = ()
+        models["linear"] = identify(choice.replaced(dictionary="linear", regularization="none"), train)
     except ChoiceError as error:
-        linear, absent = None, (f"There is no linear model to compare with: {error}",)
-    models = {"Koopman": model} | ({"linear": linear} if linear else {})
+        absent = [f"There is no linear model to compare with: {error}"]
     with np.errstate(all="ignore"):  # the metrics count predictions that diverge
-        predicted = {name: each.predict(fresh) for name, each in models.items()}
+        predictions = {name: each.predict(fresh) for name, each in models.items()}
     metrics, growth, spectrum = [], [], []
     range_over, every = grid.RANGES[choice.nrmse_range], max(1, fresh.states.shape[1] // 120)
     for name, each in models.items():
-        judged = validation.judge(fresh, predicted[name], range_over=range_over)
-        metrics += [{"model": name, **row} for row in judged]
-        growth.append(validation.error_growth(fresh, predicted[name], every=every).assign(model=name))
+        metrics += [{"model": name, **row} for row in validation.judge(fresh, predictions[name], range_over=range_over)]
+        growth.append(validation.error_growth(fresh, predictions[name], every=every).assign(model=name))
         spectrum.append(pd.DataFrame({"model": name, "real": each.eigenvalues.real, "imag": each.eigenvalues.imag}))
-    typical = validation.typical_window(fresh, predicted["Koopman"])
+    typical = validation.typical_window(fresh, predictions["Koopman"])
     absent_states = np.full_like(fresh.states, np.nan)
-    runs = {name.lower(): predicted.get(name, absent_states)[typical] for name in ("Koopman", "linear")}
+    runs = {name.lower(): predictions.get(name, absent_states)[typical] for name in ("Koopman", "linear")}
     papers = [{"model": "paper", "angle": angle, "nrmse": nrmse} for angle, nrmse in PAPER_NRMSE.items()]
-    return Outcome(
-        choice,
-        model,
-        linear,
-        pd.DataFrame(metrics + papers),
-        validation.overlay(fresh[typical], runs),
-        pd.concat(growth, ignore_index=True),
-        pd.concat(spectrum, ignore_index=True),
-        fresh[typical],
-        (*_remarks(model, metrics), *absent),
-    )
+    growth, spectrum = (pd.concat(tables, ignore_index=True) for tables in (growth, spectrum))
+    table, overlay = pd.DataFrame(metrics + papers), validation.overlay(fresh[typical], runs)
+    remarks = (*_remarks(model, metrics), *absent)
+    return Outcome(choice, model, models.get("linear"), table, overlay, growth, spectrum, fresh[typical], remarks)
 
 
-def numbers(outcome):
-    """The metrics as a table for the reader.
+def numbers(outcome: Outcome) -> pd.DataFrame:
+    """The metrics as a table of text for the reader.
 
-    Returns
-    -------
-    pandas.DataFrame
-        Text: rows NRMSE, Enr, BFR of yaw and pitch, and predictions that ran away; columns ``Koopman, linear, paper``.
+    Rows: NRMSE, Enr, BFR of yaw and pitch, and predictions that ran away; columns ``Koopman, linear, paper``.
     """
     rows = {}
     for label, column in (("NRMSE (%)", "nrmse"), ("Enr", "enr"), ("BFR (%)", "bfr")):
@@ -133,8 +113,8 @@ def numbers(outcome):
             for _, row in outcome.metrics[outcome.metrics["angle"] == angle].iterrows():
                 missing = "none left" if row["windows"] > 0 else ""
                 cells[row["model"]] = f"{row[column]:.4g}" if np.isfinite(row[column]) else missing
-    judged = outcome.metrics.query("angle == 'yaw' and windows > 0")
-    rows["ran away"] = {row["model"]: f"{row['diverged']:g} of {row['windows']:g}" for _, row in judged.iterrows()}
+    yaw = outcome.metrics.query("angle == 'yaw' and windows > 0")
+    rows["ran away"] = {row["model"]: f"{row['diverged']:g} of {row['windows']:g}" for _, row in yaw.iterrows()}
     table = pd.DataFrame.from_dict(rows, orient="index").reindex(columns=["Koopman", "linear", "paper"]).fillna("")
     table.loc[["NRMSE (%), yaw", "NRMSE (%), pitch"], "paper"] = [f"{value}" for value in PAPER_NRMSE.values()]
     return table
@@ -144,7 +124,7 @@ def numbers(outcome):
 
 
 @functools.lru_cache(maxsize=8)
-def recording(frequency_unit, duration, sampling_time, seed):
+def recording(frequency_unit: str, duration: float, sampling_time: float, seed: int) -> Recording:
     """The experiment of 01_data_generation under these choices, with all channels."""
     _samples("duration", duration, sampling_time)
     study = grid.Study(duration=duration, sampling_time=sampling_time)
@@ -154,7 +134,7 @@ def recording(frequency_unit, duration, sampling_time, seed):
         raise ChoiceError(f"This experiment cannot be simulated: {error}") from error
 
 
-def training(choice):
+def training(choice: Choice) -> Recording:
     """The chosen channels of four fifths of the training trajectories, with noise."""
     whole = _channels(recording(choice.frequency_unit, choice.duration, choice.sampling_time, choice.seed), choice)
     if choice.noise:
@@ -162,13 +142,13 @@ def training(choice):
     return _cut(whole, 3, "a trajectory", TRAJECTORY).split(TRAIN_FRACTION, SPLIT_SEED)[0]
 
 
-def validation_windows(choice):
+def validation_windows(choice: Choice) -> Recording:
     """Windows of an independent realisation without noise, that of the next seed."""
     fresh = recording(choice.frequency_unit, choice.duration, choice.sampling_time, choice.seed + 1)
     return _cut(_channels(fresh, choice), 1, "horizon", choice.horizon)
 
 
-def identify(choice, train):
+def identify(choice: Choice, train: Recording) -> KoopmanModel:
     """The chosen model, fitted to a recording from `training`.
 
     Raises
@@ -179,25 +159,19 @@ def identify(choice, train):
     model = unfitted(choice)
     count = _functions(model, train)
     if count > MOST:
-        raise ChoiceError(
-            f"These are {count} functions, which take seconds per change: "
-            f"choose a smaller size or fewer delays (at most {MOST} functions)."
-        )
+        remedy = f"choose a smaller size or fewer delays (at most {MOST} functions)"
+        raise ChoiceError(f"These are {count} functions, which take seconds per change: {remedy}.")
     try:
         with np.errstate(all="ignore"):  # a fit that fails raises
             return model.fit(train)
-    except LogarithmError as error:
-        raise ChoiceError(f"There is no model: {error}") from error
     except np.linalg.LinAlgError as error:
-        raise ChoiceError(
-            "There is no model: equation (18) is singular for this dictionary. "
-            "Take F from the columns of A (field = coordinates), or fewer functions."
-        ) from error
+        remedy = "Take F from the columns of A (field = coordinates), or fewer functions."
+        raise ChoiceError(f"There is no model: equation (18) is singular for this dictionary. {remedy}") from error
     except ValueError as error:
         raise ChoiceError(f"There is no model: {error}") from error
 
 
-def unfitted(choice):
+def unfitted(choice: Choice) -> KoopmanModel:
     """The chosen `KoopmanModel` before any data."""
     size = choice.size
     dictionaries = {
@@ -208,12 +182,10 @@ def unfitted(choice):
         "fourier": lambda: Fourier(size),
         "mechanical": lambda: Mechanical(size),
     }
-    plain = choice.regularization == "none"
-    regularization, strength = (None, 0.0) if plain else (choice.regularization, choice.strength)
-    return KoopmanModel(
-        dictionaries[choice.dictionary](), choice.predictor, choice.delays, field=choice.field,
-        regularization=regularization, strength=float(strength), extrapolation=choice.extrapolation,
-    )  # fmt: skip
+    options = {"field": choice.field, "extrapolation": choice.extrapolation, "regularization": None, "strength": 0.0}
+    if choice.regularization != "none":
+        options |= {"regularization": choice.regularization, "strength": float(choice.strength)}
+    return KoopmanModel(dictionaries[choice.dictionary](), choice.predictor, choice.delays, **options)
 
 
 def _channels(whole, choice):
@@ -241,14 +213,13 @@ def _functions(model, train):
     """Number of functions that the dictionary will have; 0 if it is certainly small enough."""
     lifts_inputs = model.predictor != "lifted_linear"
     past_inputs = train.m * model.delays * (model.predictor != "vector_field")
-    states, inputs = train.n * (model.delays + 1) + past_inputs, train.m * lifts_inputs
+    channels = train.n * (model.delays + 1) + past_inputs + train.m * lifts_inputs
     if isinstance(model.dictionary, Monomials):  # counted, not built: there may be a million
-        return math.comb(states + inputs + model.dictionary.degree, model.dictionary.degree)
+        return math.comb(channels + model.dictionary.degree, model.dictionary.degree)
     if isinstance(model.dictionary, (Exponentials, Fourier)):
-        channels = states + inputs
         return 1 + channels + 2 * channels * (1 if model.dictionary.order == 1 else channels + 1)
     if isinstance(model.dictionary, GaussianRBF):
-        return 1 + states + inputs + model.dictionary.n_centres
+        return 1 + channels + model.dictionary.n_centres
     return 0  # mechanical: its degree limits it
 
 
@@ -259,9 +230,7 @@ def _remarks(model, rows):
         yield f"{count} predictions of the {name} model ran away; the errors are those of the others."
     radius = np.abs(model.eigenvalues).max()
     if radius > 1 + 1e-6:
-        yield (
-            f"K has an eigenvalue outside the unit circle ({radius:.6f}): "
-            "it belongs to a function whose motion the dictionary cannot express."
-        )
+        reason = "it belongs to a function whose motion the dictionary cannot express"
+        yield f"K has an eigenvalue outside the unit circle ({radius:.6f}): {reason}."
     if model.condition_number > 1e8:
         yield f"On these data the functions are nearly dependent (condition number {model.condition_number:.0e})."

@@ -3,6 +3,7 @@
 import io
 
 import numpy as np
+import pandas as pd
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
@@ -14,7 +15,7 @@ _ROLES = {"koopman": MODEL | {"label": "Koopman"}, "linear": LINEAR | {"label": 
 
 
 @styled()
-def outcome_figure(overlay, growth, spectrum):
+def outcome_figure(overlay: pd.DataFrame, growth: pd.DataFrame, spectrum: pd.DataFrame) -> Figure:
     """One model in four panels: prediction of both angles, error against horizon, spectrum of K with the unit circle.
 
     Parameters
@@ -48,7 +49,7 @@ def outcome_figure(overlay, growth, spectrum):
 
 
 @styled()
-def png(figure, dpi=130):
+def png(figure: Figure, dpi: float = 130) -> bytes:
     """A figure as the bytes of a PNG, for a notebook or a widget."""
     target = io.BytesIO()
     FigureCanvasAgg(figure)
@@ -96,17 +97,10 @@ def _spectrum_panel(panel, spectrum):
 
 
 @styled()
-def portrait_figure(table):
+def portrait_figure(table: pd.DataFrame) -> Figure:
     """The true and the identified vector fields, one row per plane; the colour is the error of the acceleration.
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        From `tras.explorer.portraits.portrait`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
+    ``table`` is from `tras.explorer.portraits.portrait`.
     """
     require(table, "table", ["model", "plane", "angle", "rate", "d_angle", "d_rate", "error"])
     names = list(dict.fromkeys(table["model"]))

@@ -1,23 +1,22 @@
 """The identified vector field beside the true one in two planes of the state space, for the phase portraits.
 
 In each plane one angle and its rate vary over the range of the training data; the other states are fixed (`PLANES`) and
-the inputs are zero. With torques the truth is the plant itself. With references it is the plant with the controller in
-the loop. The controller's integrators are no states of the model; they take the values that balance the reference,
-because these coordinates admit no other truth.
+the inputs are zero. With torques the truth is the plant itself, with references the plant and the controller. The
+controller's integrators are no states of the model; they take the values that balance the reference.
 """
+
+import contextlib
 
 import numpy as np
 import pandas as pd
 
-from tras.explorer.choice import ChoiceError
-from tras.explorer.explore import identify, training
+from tras.explorer.choice import SIZES, ChoiceError
+from tras.explorer.explore import Outcome, identify, training
+from tras.model import KoopmanModel
 from tras.twin_rotor.closed_loop import PID
 from tras.twin_rotor.plant import STATE_NAMES, TORQUE_NAMES, PlantParameters, vector_field
 
-NAMES = {
-    "gaussian": "Gaussian RBF", "linear": "linear", "monomials": "monomials", "exponentials": "exponentials",
-    "fourier": "Fourier", "mechanical": "mechanical",
-}  # fmt: skip
+NAMES = {name: name for name in SIZES} | {"gaussian": "Gaussian RBF", "fourier": "Fourier"}  # of dictionaries, to show
 # plane -> (the angle, its rate, values of the other two states)
 PLANES = {
     "pitch": ("phi", "phidot", {"psi": 0.0, "psidot": 0.0}),
@@ -25,24 +24,16 @@ PLANES = {
 }
 
 
-def has_field(model):
+def has_field(model: KoopmanModel) -> bool:
     """Whether `portrait` can show a model: four states, no delays, and a vector field."""
     return model.predictor == "vector_field" and not model.delays and model.state_names_ == STATE_NAMES
 
 
-def compared(outcome):
-    """Two models whose fields are worth a look beside the truth: the chosen one and the mechanical one.
+def compared(outcome: Outcome) -> dict[str, KoopmanModel]:
+    """Models whose fields are worth a look beside the truth: of an `Outcome` the chosen one, and the mechanical one.
 
-    A linear model, if need be from data without noise, takes the place of one that has no field.
-
-    Parameters
-    ----------
-    outcome : tras.explorer.explore.Outcome
-
-    Returns
-    -------
-    dict of str to KoopmanModel
-        One or two models by the names of their dictionaries.
+    A linear model, if need be from data without noise, takes the place of one that has no field. The dict holds one or
+    two models by the names of their dictionaries.
     """
     choice = outcome.choice.replaced(state="four_states", delays=0, predictor="vector_field", regularization="none")
     mechanical = choice.replaced(dictionary="mechanical", size=8, field="coordinates", extrapolation="functions")
@@ -50,22 +41,19 @@ def compared(outcome):
     models = {NAMES[outcome.choice.dictionary]: outcome.model} if has_field(outcome.model) else {}
     for other in (mechanical, linear, linear.replaced(noise=0.0)):
         if len(models) < 2 and NAMES[other.dictionary] not in models:
-            try:
+            with contextlib.suppress(ChoiceError):
                 models[NAMES[other.dictionary]] = identify(other, training(other))
-            except ChoiceError:
-                pass
     return models
 
 
-def portrait(models, *, points=25):
-    """The fields on a grid, and the errors of the identified ones.
+def portrait(models: dict[str, KoopmanModel], *, points: int = 25) -> pd.DataFrame:
+    """The fields on a grid with ``points`` per direction, and the errors of the identified ones.
 
     Parameters
     ----------
     models : dict of str to KoopmanModel
         Name -> model with `has_field`; all with the same inputs.
     points : int
-        Grid points per direction.
 
     Returns
     -------
@@ -81,10 +69,10 @@ def portrait(models, *, points=25):
     """
     for name, model in models.items():
         if not has_field(model):
-            raise ValueError(
-                f"{name}: only a model of the four states without delays, with predictor = vector_field, "
-                "has a field to show."
+            problem = (
+                "only a model of the four states without delays, with predictor = vector_field, has a field to show"
             )
+            raise ValueError(f"{name}: {problem}.")
     if len({model.input_names_ for model in models.values()}) != 1:
         raise ValueError("models have different inputs, or there are none; give models of the same inputs.")
     reference = next(iter(models.values()))
@@ -103,7 +91,7 @@ def portrait(models, *, points=25):
     return pd.concat(parts, ignore_index=True)
 
 
-def vector_field_of(input_names, parameters=None):
+def vector_field_of(input_names: tuple[str, ...], parameters: PlantParameters | None = None):
     """The true field for these inputs, (..., 4), (..., 2) -> (..., 4): of the plant, or of the loop in balance.
 
     Examples

@@ -1,4 +1,4 @@
-"""The explorer in Jupyter: controls for every field of a `Choice`, and its outcome, which `tras.explorer.explore` computes.
+"""The explorer in Jupyter: a control for every field of a `Choice`, and its outcome, from `tras.explorer.explore`.
 
 A slider acts on release, a menu at once. A choice that gives no model leaves the last picture and says why.
 """
@@ -25,13 +25,20 @@ _WORDS = {
 }  # fmt: skip
 _GROUPS = {
     "Experiment": ("input", "frequency_unit", "duration", "sampling_time", "noise", "seed"),
-    "Model": (
-        *("dictionary", "size", "width", "state", "delays"),
-        *("predictor", "field", "regularization", "strength", "extrapolation"),
-    ),
+    "Model": "dictionary size width state delays predictor field regularization strength extrapolation".split(),
     "Judged over": ("horizon", "nrmse_range"),
 }
 _SAMPLING_TIMES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
+# field -> kind of slider, lowest, highest (exponents for a log slider), steps and digits
+_SLIDERS = {
+    "duration": (ipywidgets.FloatSlider, 20, 1000, {"step": 20, "readout_format": ".0f"}),
+    "noise": (ipywidgets.FloatSlider, 0, 10, {"step": 0.1, "readout_format": ".1f"}),
+    "size": (ipywidgets.IntSlider, 1, 200, {}),
+    "width": (ipywidgets.FloatLogSlider, -1, 1, {"step": 0.1, "readout_format": ".2f"}),
+    "delays": (ipywidgets.IntSlider, 0, 10, {}),
+    "strength": (ipywidgets.FloatLogSlider, -6, 0, {"step": 0.5, "readout_format": ".0e"}),
+    "horizon": (ipywidgets.FloatSlider, 1, 60, {"step": 1, "readout_format": ".0f"}),
+}
 _STYLE = {"description_width": "92px"}
 _WIDE = {"width": "300px"}
 
@@ -73,11 +80,11 @@ class Explorer:
         self.redraw()
 
     @property
-    def choice(self):
+    def choice(self) -> Choice:
         """The `Choice` that the controls hold; raises a `ChoiceError` if they are wrong."""
         return Choice(**{name: control.value for name, control in self.controls.items()})
 
-    def set(self, choice):
+    def set(self, choice: Choice) -> None:
         """Put a choice into the controls and show its outcome."""
         self._quiet = True
         try:
@@ -91,7 +98,7 @@ class Explorer:
             self._quiet = False
         self.redraw()
 
-    def redraw(self):
+    def redraw(self) -> None:
         """Fit, predict, judge and show; or say why there is nothing to show."""
         start = time.perf_counter()
         self._enable()
@@ -146,10 +153,9 @@ class Explorer:
     def _write(self, _):
         try:
             path = write_parameters(self.choice, self.name.value, self.folder)
+            self.answer.value = _note(f"{path.name} is written: make all PROFILE={path.stem}")
         except (ValueError, OSError) as error:
             self.answer.value = _note(str(error), "#b00020")
-        else:
-            self.answer.value = _note(f"{path.name} is written: make all PROFILE={path.stem}")
 
     def _arranged(self):
         column = [self.example]
@@ -172,17 +178,10 @@ def _control(name, value):
         return ipywidgets.Dropdown(options=options, value=value, tooltip=meanings, **look)
     if name == "sampling_time":
         return ipywidgets.SelectionSlider(options=sorted({*_SAMPLING_TIMES, value}), value=value, **late)
-    makers = {
-        "duration": lambda: ipywidgets.FloatSlider(value, min=20, max=1000, step=20, readout_format=".0f", **late),
-        "noise": lambda: ipywidgets.FloatSlider(value, min=0, max=10, step=0.1, readout_format=".1f", **late),
-        "seed": lambda: ipywidgets.BoundedIntText(value, min=1, max=10_000, **look),
-        "size": lambda: ipywidgets.IntSlider(value, min=1, max=200, **late),
-        "width": lambda: ipywidgets.FloatLogSlider(value, min=-1, max=1, step=0.1, readout_format=".2f", **late),
-        "delays": lambda: ipywidgets.IntSlider(value, min=0, max=10, **late),
-        "strength": lambda: ipywidgets.FloatLogSlider(value, min=-6, max=0, step=0.5, readout_format=".0e", **late),
-        "horizon": lambda: ipywidgets.FloatSlider(value, min=1, max=60, step=1, readout_format=".0f", **late),
-    }
-    return makers[name]()
+    if name == "seed":
+        return ipywidgets.BoundedIntText(value, min=1, max=10_000, **look)
+    kind, low, high, steps = _SLIDERS[name]
+    return kind(value, min=low, max=high, **steps, **late)
 
 
 def _note(text, colour="#404040"):

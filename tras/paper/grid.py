@@ -264,7 +264,7 @@ def _recording(study, folder, code, point, seed):
     """`simulate`, from the cache if it is there."""
     simulation = {name: point[name] for name in SIMULATION}
     options = {**cache.plain({name: getattr(study, name) for name in EXPERIMENT}), **simulation, "seed": seed}
-    path = cache.place(folder, "recording", options, code, ".npz")
+    path = cache.path_for(folder, "recording", options, code, ".npz")
     arrays = cache.read_arrays(path)
     if arrays is None:
         recording = simulate(study, **simulation, seed=seed)

@@ -5,7 +5,7 @@ import math
 import numbers
 
 
-def number(name, value, low=-math.inf, high=math.inf, *, ends=True, give="", error=ValueError):
+def number(name: str, value, low=-math.inf, high=math.inf, *, ends=True, give="", error=ValueError) -> None:
     """Refuse what is not a finite number from ``low`` to ``high``, or between them with ``ends=False``; True is none.
 
     The sentence says to ``give`` that instead, by default a number in this range; ``error`` is a kind of ValueError.
@@ -20,7 +20,7 @@ def number(name, value, low=-math.inf, high=math.inf, *, ends=True, give="", err
         raise error(f"{name} is {value!r}; give {give or 'a ' + _range('number', low, high, ends)}.")
 
 
-def whole_number(name, value, low=1, high=math.inf, *, give="", error=ValueError):
+def whole_number(name: str, value, low=1, high=math.inf, *, give="", error=ValueError) -> None:
     """Refuse what is not a whole number from ``low`` to ``high``; see `number`.
 
     >>> whole_number("draws", True, 2)
@@ -32,14 +32,14 @@ def whole_number(name, value, low=1, high=math.inf, *, give="", error=ValueError
         raise error(f"{name} is {value!r}; give {give or 'a ' + _range('whole number', low, high, True)}.")
 
 
-def seed(name, value, purpose):
+def seed(name: str, value, purpose: str) -> None:
     """Refuse what is neither a numpy.random.Generator nor a seed; ``purpose`` says what can then be had again."""
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) and not hasattr(value, "bit_generator"):
         remedy = f"give a numpy.random.Generator or a seed, so that {purpose} can be had again"
         raise ValueError(f"{name} is {value!r}; {remedy}.")
 
 
-def did_you_mean(name, known):
+def did_you_mean(name, known) -> str:
     """The end of a sentence about a name that is not among those that are known.
 
     >>> did_you_mean("sed", ["seed", "duration"]), did_you_mean("x", ["seed", "duration"])

@@ -1,50 +1,28 @@
-"""Where jobs run: in this process, in local processes, or on the workers of a Dask scheduler.
+"""Where jobs run: in this process, in local processes (`tras.workflow.processes`), or on the workers of Dask.
 
-A job whose worker is killed is given to another one; one that kills every worker is `Lost`, and the others go on. What all jobs share travels to a
-worker of Dask once.
-
-Local processes are the standard library's, not a pool of joblib or of `concurrent.futures`: such a pool breaks as a
-whole when one process is killed, and does not say which job it had. Functions travel by cloudpickle, so a notebook may
-hold them.
+A job whose worker is killed is given to another one; one that kills every worker is `Lost`, and the others go on. What
+all jobs share travels to a worker of Dask once.
 """
 
 import contextlib
 import functools
 import logging
-import multiprocessing
-import pickle
 import queue
-import signal
 import sys
-import traceback
-import types
-from collections import Counter, deque
 from concurrent import futures
-from multiprocessing import connection
-from typing import NamedTuple
 
+from tras.workflow.arguments import whole_number
+from tras.workflow.processes import Lost, run_locally
 from tras.workflow.provenance import versions
 
 _ATTEMPTS = 3  # a job whose worker dies more often than that is given up
 _PATIENCE = 5.0  # seconds to wait for a scheduler, and for its first worker
 _LOOK = 10.0  # seconds without a result after which one looks whether there are workers still
 _LARGE = {"distributed.admin.large-graph-warning-threshold": "1 GiB"}  # recordings in memory are sent knowingly
-_IDLE = 60  # seconds after which a local process that has nothing to do ends
-_PROCESSES = []  # local processes that wait for the next call, with the pipes to them
-_PACKAGE = f"{__name__.partition('.')[0]}."
-# A fork server has imported the package already; a new interpreter for each process would import it again and again.
-_METHODS = multiprocessing.get_all_start_methods()
-_START = multiprocessing.get_context("forkserver" if "forkserver" in _METHODS else "spawn")
 
 
 class SchedulerError(ValueError):
     """The scheduler cannot be reached, its workers do not fit, or they lose a job for good."""
-
-
-class Lost(NamedTuple):
-    """In place of a result: every worker that was given the job died."""
-
-    reason: str
 
 
 def run(work, jobs, shared=(), *, scheduler=None, processes=None, ordered=False, alike=versions):
@@ -58,8 +36,8 @@ def run(work, jobs, shared=(), *, scheduler=None, processes=None, ordered=False,
     shared : tuple
         Arguments that all jobs have in common.
     scheduler : None, "processes" or str
-        None: one job after the other in this process. "processes": local processes. An address such as "tcp://host:8786": the workers of that
-        Dask scheduler.
+        None: one job after the other in this process. "processes": local processes. An address such as
+        "tcp://host:8786": the workers of that Dask scheduler.
     processes : int, optional
         Number of local processes; default one per core.
     ordered : bool
@@ -75,16 +53,16 @@ def run(work, jobs, shared=(), *, scheduler=None, processes=None, ordered=False,
     Raises
     ------
     SchedulerError
-        With one sentence, if the scheduler does not answer or goes away, or a worker is not ``alike``. What ``work`` raises is raised here.
+        If the scheduler does not answer or goes away, or a worker is not ``alike``. What ``work`` raises is raised too.
     """
     require_scheduler(scheduler)
-    if processes is not None and (isinstance(processes, bool) or not isinstance(processes, int) or processes < 1):
-        raise ValueError(f"processes is {processes!r}; give a whole number, 1 or more, or None for one per core.")
+    if processes is not None:
+        whole_number("processes", processes, give="a whole number, 1 or more, or None for one per core")
     jobs = list(jobs)
     if scheduler is None:
         done = ((k, functools.partial(work, *shared, *job)) for k, job in enumerate(jobs))
     elif scheduler == "processes":
-        done = _processes(work, jobs, shared, processes)
+        done = run_locally(work, jobs, shared, processes)
     else:
         done = _dask(work, jobs, shared, scheduler, alike)
     with contextlib.closing(done):  # at once, whatever keeps the traceback
@@ -92,12 +70,11 @@ def run(work, jobs, shared=(), *, scheduler=None, processes=None, ordered=False,
             yield k, result()
 
 
-def require_scheduler(scheduler):
+def require_scheduler(scheduler) -> None:
     """A ValueError unless it is one that `run` knows."""
     if scheduler not in (None, "processes") and not (isinstance(scheduler, str) and "://" in scheduler):
-        raise ValueError(
-            f"scheduler is {scheduler!r}; give None, 'processes', or an address such as 'tcp://host:8786'."
-        )
+        remedy = "give None, 'processes', or an address such as 'tcp://host:8786'"
+        raise ValueError(f"scheduler is {scheduler!r}; {remedy}.")
 
 
 def _in_turn(done):
@@ -109,110 +86,21 @@ def _in_turn(done):
             turn += 1
 
 
-# ---------------------------------------------------------------------------------------------------------------- local processes
-
-
-def _processes(work, jobs, shared, count):
-    """(number, function that returns the result) of each job.
-
-    A job whose process was killed is done again after all others: alone, with all memory to itself.
-    """
-    import cloudpickle
-    from dask.system import cpu_count
-
-    together = cloudpickle.dumps((work, shared))  # functions of a notebook by value
-    waiting, suspects, running, deaths = deque(range(len(jobs))), deque(), {}, Counter()
-    try:
-        while waiting or suspects or running:
-            while len(running) < (count or cpu_count()) and (waiting or (suspects and not running)):
-                k = (waiting or suspects).popleft()
-                process, pipe = _idle_process()
-                running[pipe] = k, process
-                with contextlib.suppress(OSError):  # the process is gone, which is seen when its answer is read
-                    pipe.send((together, cloudpickle.dumps(jobs[k])))
-            for pipe in connection.wait(running):
-                k, process = running.pop(pipe)
-                try:
-                    result, error = pickle.loads(pipe.recv_bytes())
-                except (EOFError, OSError):  # killed
-                    deaths[k] += 1
-                    if deaths[k] < _ATTEMPTS:
-                        suspects.append(k)
-                    else:
-                        yield k, functools.partial(Lost, f"its process was killed {_ATTEMPTS} times (out of memory?)")
-                else:
-                    _PROCESSES.append((process, pipe))
-                    yield k, functools.partial(_give, result, error)
-    finally:
-        if running:  # interrupted, or nobody asks for more
-            for _, process in running.values():
-                process.kill()
-            while _PROCESSES:
-                _PROCESSES.pop()[0].kill()
-
-
-def _give(result, error):
-    if error is not None:
-        raise error
-    return result
-
-
-def _idle_process():
-    """A process and the pipe to it, of an earlier job or new.
-
-    A process imports what its jobs need, not the caller's script, which may have no guard against being imported.
-    """
-    while _PROCESSES:
-        process, pipe = _PROCESSES.pop()
-        if process.is_alive():
-            return process, pipe
-    pipe, theirs = _START.Pipe()
-    process = _START.Process(target=_serve, args=(theirs,), daemon=True)
-    _START.set_forkserver_preload(sorted(name for name in sys.modules if name.startswith(_PACKAGE)))
-    script, sys.modules["__main__"] = sys.modules["__main__"], types.ModuleType("__main__")
-    try:
-        process.start()
-    finally:
-        sys.modules["__main__"] = script
-    theirs.close()
-    return process, pipe
-
-
-def _serve(pipe):
-    """What a local process does, until no job has come for a while, or the caller is gone."""
-    import cloudpickle
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the caller ends its own
-    with contextlib.suppress(EOFError, OSError):
-        while pipe.poll(_IDLE):
-            message = pipe.recv()
-            try:
-                (work, shared), job = map(pickle.loads, message)
-                answer = cloudpickle.dumps((work(*shared, *job), None))
-            except BaseException as error:
-                error.add_note(f"In a local process:\n{traceback.format_exc()}")
-                answer = cloudpickle.dumps((None, error))
-            pipe.send_bytes(answer)
-
-
-# --------------------------------------------------------------------------------------------------------------------------- Dask
-
-
 def _dask(work, jobs, shared, address, alike):
-    """(number, function that returns the result) of each job, as they are done; the scheduler gives the jobs of a lost worker to another one."""
+    """As `run_locally`; the scheduler gives the jobs of a lost worker to another one."""
     import dask
     from distributed import Client
 
     _require_answer(address)
     with _hushed(), dask.config.set(_LARGE), Client(address, timeout=_PATIENCE, set_as_default=False) as client:
-        wanted = alike()
-        _require_alike(client, address, alike, wanted)
+        required = alike()
+        _require_alike(client, address, alike, required)
         # As a task: what was scattered would be lost with the one worker that holds it, a task is done again.
-        together = client.submit(_together, shared, pure=False)
+        together = client.submit(tuple, shared, pure=False)
         finished, waiting, suspects = queue.SimpleQueue(), {}, []
 
         def submit(k):
-            future = client.submit(_task, work, together, jobs[k], alike, wanted, pure=False, retries=_ATTEMPTS)
+            future = client.submit(_task, work, together, jobs[k], alike, required, pure=False, retries=_ATTEMPTS)
             waiting[future.key] = k, future
             future.add_done_callback(lambda future: finished.put(future.key))
 
@@ -248,47 +136,40 @@ def _require_answer(address):
         try:
             thread.submit(asyncio.run, ask()).result()
         except Exception as error:  # another server's answer is read as anything
-            raise SchedulerError(
-                f"scheduler {address!r} cannot be reached within {_PATIENCE:g} s; start one (docs/scale.md), or give another address."
-            ) from error
+            problem = f"scheduler {address!r} cannot be reached within {_PATIENCE:g} s"
+            raise SchedulerError(f"{problem}; start one (docs/scale.md), or give another address.") from error
 
 
 @contextlib.contextmanager
 def _hushed():
     """A client that loses its scheduler logs a traceback; here one sentence says it."""
     logger = logging.getLogger("distributed.client")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL + 1)
+    logger.disabled = True
     try:
         yield
     finally:
-        logger.setLevel(level)
+        logger.disabled = False
 
 
-def _together(shared):
-    return shared
-
-
-def _task(work, shared, job, alike, wanted):
+def _task(work, shared, job, alike, required):
     """What a worker of Dask does. It may have come after all were compared."""
     from distributed import get_worker
 
-    _compare(get_worker().address, alike(), wanted)
+    _compare(get_worker().address, alike(), required)
     return work(*shared, *job)
 
 
 def _next(finished, client, address):
     """Key of the next future that is done."""
-    said = False
+    silent = True
     while True:
         try:
             return finished.get(timeout=_LOOK)
         except queue.Empty:
-            if not (said or client.scheduler_info().get("workers")):
-                said = True
-                print(
-                    f"scheduler {address!r} has no worker any more: waiting for one (docs/scale.md).", file=sys.stderr
-                )
+            if silent and not client.scheduler_info().get("workers"):
+                silent = False
+                sentence = f"scheduler {address!r} has no worker any more: waiting for one (docs/scale.md)."
+                print(sentence, file=sys.stderr)
 
 
 def _killed(future):
@@ -306,28 +187,25 @@ def _result(future, address):
     try:
         return future.result()
     except (FutureCancelledError, CommClosedError) as error:
-        raise SchedulerError(
-            f"scheduler {address!r} went away; start it again (docs/scale.md), and then this."
-        ) from error
+        remedy = "start it again (docs/scale.md), and then this"
+        raise SchedulerError(f"scheduler {address!r} went away; {remedy}.") from error
 
 
-def _require_alike(client, address, alike, wanted):
-    """A worker at all, and on each of them what is ``wanted``."""
+def _require_alike(client, address, alike, required):
+    """A worker at all, and on each of them what is ``required``."""
     try:
         client.wait_for_workers(1, timeout=_PATIENCE)
     except (OSError, TimeoutError) as error:
         raise SchedulerError(f"scheduler {address!r} has no worker; start some (docs/scale.md).") from error
     for worker, theirs in client.run(alike, on_error="return").items():
         if not isinstance(theirs, dict):
-            raise SchedulerError(
-                f"worker {worker} cannot import tras ({theirs}); install environment.txt and this package there."
-            )
-        _compare(worker, theirs, wanted)
+            problem = f"worker {worker} cannot import tras ({theirs})"
+            raise SchedulerError(f"{problem}; install environment.txt and this package there.")
+        _compare(worker, theirs, required)
 
 
-def _compare(worker, theirs, wanted):
-    for name, value in wanted.items():
+def _compare(worker, theirs, required):
+    for name, value in required.items():
         if theirs.get(name) != value:
-            raise SchedulerError(
-                f"worker {worker} has {name} {theirs.get(name)} but {value} is needed; install environment.txt there."
-            )
+            problem = f"worker {worker} has {name} {theirs.get(name)} but {value} is needed"
+            raise SchedulerError(f"{problem}; install environment.txt there.")

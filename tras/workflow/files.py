@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 @contextlib.contextmanager
-def replacing(path):
+def replacing(path: str | Path):
     """A temporary path beside ``path`` to write to; moved onto ``path`` when the block ends well, removed otherwise.
 
     The temporary name keeps the suffix, because writers such as matplotlib and NumPy choose the format by it.
@@ -35,15 +35,13 @@ def replacing(path):
         temporary.chmod(0o666 & ~umask())  # mkstemp is private; a result is not
         os.replace(temporary, path)
     except OSError as error:
-        reason = error.strerror or error
-        raise OSError(
-            error.errno, f"{path} could not be written ({reason}); nothing was left under that name"
-        ) from error
+        problem = f"{path} could not be written ({error.strerror or error})"
+        raise OSError(error.errno, f"{problem}; nothing was left under that name") from error
     finally:
         temporary.unlink(missing_ok=True)
 
 
-def markdown_table(rows):
+def markdown_table(rows) -> str:
     """Rows of text, the heading first, as a table in Markdown.
 
     >>> print(markdown_table([("a", "b"), ("1", "2")]))
@@ -55,7 +53,7 @@ def markdown_table(rows):
     return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, ["---"] * len(head), *body))
 
 
-def write_between(path, begin, end, content):
+def write_between(path: str | Path, begin: str, end: str, content: str) -> None:
     """Write ``content`` into the file ``path``, in place of what stands between the lines ``begin`` and ``end``.
 
     Raises
@@ -71,42 +69,29 @@ def write_between(path, begin, end, content):
     except OSError as error:
         raise ValueError(f"{path} cannot be read ({error.strerror}): check the path.") from error
     if text.count(begin) != 1 or text.count(end) != 1:
-        raise ValueError(
-            f"{path} must hold the lines {begin!r} and {end!r} once each, around the table; put them back."
-        )
+        raise ValueError(f"{path} must hold {begin!r} and {end!r} once each, around the table; put them back.")
     before, rest = text.split(begin)
     with replacing(path) as temporary:
         temporary.write_text(f"{before}{begin}\n{content}\n{end}{rest.split(end)[1]}", encoding="utf-8")
 
 
-def project_root(start=None):
-    """The folder of the project, looked for from the working folder upwards.
-
-    Parameters
-    ----------
-    start : str or pathlib.Path, optional
-        Where to begin; the working folder if omitted.
-
-    Returns
-    -------
-    pathlib.Path
-        The nearest folder that holds `pyproject.toml` and `tras/`.
+def project_root(start: str | Path | None = None) -> Path:
+    """The nearest folder that holds `pyproject.toml` and `tras/`, from ``start`` (default: the working folder) upwards.
 
     Raises
     ------
     FileNotFoundError
-        When there is none above.
+        When there is none.
     """
     start = Path(start or Path.cwd()).resolve()
     for folder in (start, *start.parents):
         if (folder / "pyproject.toml").is_file() and (folder / "tras").is_dir():
             return folder
-    raise FileNotFoundError(
-        f"no folder with pyproject.toml and tras/ at or above {start}: start the notebook from inside the project's checkout."
-    )
+    remedy = "start the notebook from inside the project's checkout"
+    raise FileNotFoundError(f"no folder with pyproject.toml and tras/ at or above {start}: {remedy}.")
 
 
-def umask():
+def umask() -> int:
     """The permissions that new files of this process do not get."""
     mask = os.umask(0)
     os.umask(mask)

@@ -7,6 +7,7 @@ import base64
 import html
 import re
 import struct
+from pathlib import Path
 
 import latex2mathml.converter
 import mistune
@@ -55,19 +56,19 @@ article { border-left: 3px solid #bbb; padding: .1rem 0 .1rem 1rem; margin: 1.6r
   table { font-size: 7pt; } th, td { padding: .15rem .3rem; white-space: normal !important; } figure img { max-width: 28rem; } nav { display: none; }
   figure, article, tr { break-inside: avoid; } h2, h3, caption { break-after: avoid; } a { color: inherit; }
 }
-"""
+"""  # noqa: E501
 
 
-def escape(text):
+def escape(text) -> str:
     """Text for an element or an attribute; characters that no XML may hold become a replacement sign."""
     return html.escape(re.sub("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]", "\ufffd", str(text)))
 
 
-def formula(tex, *, display=False):
+def formula(tex: str, *, display: bool = False) -> str:
     r"""A formula as MathML; ``\tag{7}`` at the end of a displayed one puts the number to its right.
 
-    Examples -------- >>> formula("x^2") '<math xmlns="http://www.w3.org/1998/Math/MathML"
-    display="inline"><mrow><msup><mi>x</mi><mn>2</mn></msup></mrow></math>'
+    >>> formula("x^2").partition(">")[2]
+    '<mrow><msup><mi>x</mi><mn>2</mn></msup></mrow></math>'
     """
     tex, tag = re.fullmatch(r"(?s)\s*(.*?)\s*(?:\\tag\{([^}]*)\})?\s*", tex).groups()
     mathml = latex2mathml.converter.convert(tex, display="block" if display else "inline")
@@ -77,25 +78,21 @@ def formula(tex, *, display=False):
     return f'<div class="equation" tabindex="0">{mathml}{number}</div>\n'
 
 
-def table(head, rows, caption, *, keys=1, kind="numbers"):
+def table(head: list, rows: list, caption: str, *, keys: int = 1, kind: str = "numbers") -> str:
     """A table whose first ``keys`` columns name the row; cells are HTML already, the caption too.
 
-    ``kind`` is "numbers" (columns of numbers stand to the right, no cell is broken), "prose" or "short": tables of
-    sentences.
+    ``kind`` is "numbers" (columns of numbers stand to the right, no cell is broken), or for text "prose" or "short".
     """
-    columns = list(zip(*rows)) or [()] * len(head)
-    right = [
-        _NUMBER if i >= keys and kind == "numbers" and column and all(map(_is_number, column)) else ""
-        for i, column in enumerate(columns)
-    ]
-    titles = "".join(f'<th scope="col"{style}>{name}</th>' for name, style in zip(head, right))
+    styles = [""] * len(head)
+    if kind == "numbers" and rows:
+        styles[keys:] = [_NUMBER if all(map(_is_number, column)) else "" for column in list(zip(*rows))[keys:]]
+    titles = "".join(f'<th scope="col"{style}>{name}</th>' for name, style in zip(head, styles))
     body = []
     for row in rows:
-        cells = [f'<th scope="row">{cell}</th>' for cell in row[:keys]] + [
-            f"<td{style}>{cell}</td>" for cell, style in zip(row[keys:], right[keys:])
-        ]
+        cells = [f'<th scope="row">{cell}</th>' for cell in row[:keys]]
+        cells += [f"<td{style}>{cell}</td>" for cell, style in zip(row[keys:], styles[keys:])]
         body.append(f"<tr>{''.join(cells)}</tr>")
-    label = escape(html.unescape(re.sub("<[^>]*>", "", caption)))
+    label = escape(_plain(caption))
     return (
         f'<div class="scroll" tabindex="0" role="region" aria-label="{label}"><table class="{kind}">'
         f"<caption><span>{caption}</span></caption>\n<thead><tr>{titles}</tr></thead>\n<tbody>\n"
@@ -104,13 +101,10 @@ def table(head, rows, caption, *, keys=1, kind="numbers"):
     )
 
 
-def figure(path, alt, caption, identity):
+def figure(path: Path, alt: str, caption: str, identity: str) -> str:
     """A figure from a file ``path`` (.svg or .png), inside the page; ``caption`` is HTML, the others are text.
 
-    Raises
-    ------
-    ValueError
-        If the file is no picture of its kind.
+    A ValueError if the file is no picture of its kind.
     """
     content = path.read_bytes()
     width, height = _size(path, content)
@@ -121,7 +115,7 @@ def figure(path, alt, caption, identity):
     return f'<figure id="{escape(identity)}">{image}\n<figcaption>{caption}</figcaption></figure>\n'
 
 
-def picture(folder, name):
+def picture(folder: Path, name: str) -> Path | None:
     """The file that shows the figure ``name`` best: its SVG, or its PNG where the SVG is missing or large; or None."""
     svg, png = folder / f"{name}.svg", folder / f"{name}.png"
     if svg.is_file() and (svg.stat().st_size <= _LARGEST_SVG or not png.is_file()):
@@ -129,15 +123,11 @@ def picture(folder, name):
     return png if png.is_file() else None
 
 
-def converter(block, contents):
+def converter(block, contents: list):
     """A function from Markdown to HTML.
 
-    Parameters
-    ----------
-    block : callable
-        Of a fenced block its kind and, from the YAML in it, a dictionary -> HTML.
-    contents : list
-        Headings of levels 2 and 3 are appended to it: (level, identity, HTML).
+    ``block`` turns the kind of a fenced block and a dictionary, from the YAML in it, to HTML. Headings of levels 2 and
+    3 are appended to the list ``contents``: (level, identity, HTML).
     """
 
     class Renderer(mistune.HTMLRenderer):
@@ -146,7 +136,7 @@ def converter(block, contents):
 
         def heading(self, text, level, **_):
             identities = [identity for _, identity, _ in contents]
-            plain = html.unescape(re.sub("<[^>]*>", "", text)).lower().replace("'", "")
+            plain = _plain(text).lower().replace("'", "")
             base = identity = re.sub(r"[^a-z0-9]+", "-", plain).strip("-") or "part"
             while identity in identities:
                 identity = f"{base}-{sum(name.startswith(base) for name in identities) + 1}"
@@ -166,12 +156,12 @@ def converter(block, contents):
     return mistune.Markdown(Renderer(escape=True), plugins=[math])
 
 
-def inline(convert, text):
+def inline(convert, text) -> str:
     """Markdown of one line, without the paragraph round it."""
     return re.sub(r"^<p>(.*)</p>\s*$", r"\1", convert(" ".join(str(text).split())), flags=re.DOTALL)
 
 
-def frame(title, body, contents):
+def frame(title: str, body: str, contents: list) -> str:
     """The whole page: ``title`` is text, ``body`` HTML with an h2 somewhere, ``contents`` as from `converter`."""
     first, rest = re.split("(?=<h2)", body, maxsplit=1)
     chapters = []
@@ -181,19 +171,22 @@ def frame(title, body, contents):
             chapters.append((link, []))
         else:
             chapters[-1][1].append(f"<li>{link}</li>")
-    items = "\n".join(
-        f"<li>{link}{'<ul>' + ''.join(parts) + '</ul>' if parts else ''}</li>" for link, parts in chapters
-    )
+    lists = [(link, f"<ul>{''.join(parts)}</ul>" if parts else "") for link, parts in chapters]
+    items = "\n".join(f"<li>{link}{parts}</li>" for link, parts in lists)
+    policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
     return (
         '<!DOCTYPE html>\n<html xmlns="http://www.w3.org/1999/xhtml" lang="en">\n<head>\n<meta charset="utf-8" />\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1" />\n'
-        "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\" />\n"
-        f'<title>{escape(title)}</title>\n<link rel="icon" href="data:," />\n<style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n{first}'
-        f'<nav aria-label="Contents">\n<h2>Contents</h2>\n<ul>\n{items}\n</ul>\n</nav>\n{rest}</main>\n</body>\n</html>\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}" />\n'
+        f'<title>{escape(title)}</title>\n<link rel="icon" href="data:," />\n<style>\n{STYLE}</style>\n'
+        f'</head>\n<body>\n<main>\n{first}<nav aria-label="Contents">\n<h2>Contents</h2>\n<ul>\n{items}\n</ul>\n'
+        f"</nav>\n{rest}</main>\n</body>\n</html>\n"
     )
 
 
-# --- parts ------------------------------------------------------------------------------------------------------------
+def _plain(markup):
+    """The text of HTML without its tags."""
+    return html.unescape(re.sub("<[^>]*>", "", markup))
 
 
 def _is_number(cell):

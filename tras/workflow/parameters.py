@@ -1,12 +1,10 @@
 """Parameters of notebooks, read and checked before anything runs.
 
-The parameters of a notebook are the assignments of literals in its one cell tagged `parameters`; this cell gives each
-its default and its type. A parameter file has one section per notebook (`01_data_generation: {duration: 500.0}`). A
-name or a type that the cell does not know is an error here, where papermill alone would warn and go on with the
-default.
+The one cell of a notebook tagged `parameters` assigns each parameter its default, which also gives its type. A file of
+parameters has one section per notebook (`01_data_generation: {duration: 500.0}`). A name or a type that the cell does
+not know is an error here, where papermill alone would warn and go on with the default.
 
-The checks of types are ours: types made for pydantic from the defaults took as many lines, refused whole numbers as
-keys, and cost each stage 0.2 s of imports, while the sentences stayed ours.
+The checks of types are ours: with pydantic they took as many lines, and 0.2 s of imports per stage.
 """
 
 import ast
@@ -21,19 +19,8 @@ class ParameterError(ValueError):
     """A parameter, or a file that should hold parameters, is not what the notebook needs."""
 
 
-def notebook_defaults(notebook):
-    """Parameters of a notebook: names and defaults, from its one cell tagged `parameters`.
-
-    Parameters
-    ----------
-    notebook : str or Path
-        Path of the notebook.
-
-    Returns
-    -------
-    dict
-        Name -> default, in the order of the cell.
-    """
+def notebook_defaults(notebook: str | Path) -> dict:
+    """Parameters of a notebook, from its one cell tagged `parameters`: a dict, name -> default."""
     notebook = Path(notebook)
     cells = _read_notebook(notebook)["cells"]
     tagged = [cell for cell in cells if "parameters" in cell.get("metadata", {}).get("tags", [])]
@@ -44,25 +31,20 @@ def notebook_defaults(notebook):
     try:
         body = ast.parse(source).body
     except SyntaxError as error:
-        raise ParameterError(
-            f"the `parameters` cell of {notebook} is not Python (line {error.lineno}: {error.msg})."
-        ) from None
+        problem = f"is not Python (line {error.lineno}: {error.msg})"
+        raise ParameterError(f"the `parameters` cell of {notebook} {problem}.") from None
     defaults = {}
     for node in body:
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
             continue  # a line of text
-        target = (
-            node.targets[0]
-            if isinstance(node, ast.Assign) and len(node.targets) == 1
-            else getattr(node, "target", None)
-        )
         try:
+            (target,) = node.targets if isinstance(node, ast.Assign) else [node.target]
             if not isinstance(target, ast.Name) or isinstance(node, ast.AugAssign):
                 raise ValueError
             defaults[target.id] = ast.literal_eval(node.value)
             if not isinstance(defaults[target.id], (type(None), bool, int, float, str, list, dict)):
                 raise ValueError
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, AttributeError):
             raise ParameterError(
                 f"the `parameters` cell of {notebook} holds `{ast.get_source_segment(source, node)}`: only assignments "
                 "`name = literal` (number, text, True, None, list, dict) may stand there; compute in the next cell."
@@ -82,7 +64,7 @@ def _read_notebook(notebook):
     return content
 
 
-def parse_yaml(text, where):
+def parse_yaml(text: str, where):
     """YAML, with an error instead of silence when a key stands twice."""
     import yaml
 
@@ -91,9 +73,8 @@ def parse_yaml(text, where):
             keys = [self.construct_object(key, deep=True) for key, _ in node.value]
             twice = [key for n, key in enumerate(keys) if key in keys[:n]]
             if twice:
-                raise ParameterError(
-                    f"{where}: `{twice[0]}` stands twice (line {node.start_mark.line + 1} on): keep one."
-                )
+                line = node.start_mark.line + 1
+                raise ParameterError(f"{where}: `{twice[0]}` stands twice (line {line} on): keep one.")
             return super().construct_mapping(node, deep)
 
     try:
@@ -101,12 +82,11 @@ def parse_yaml(text, where):
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f" at line {mark.line + 1}" if mark else ""
-        raise ParameterError(
-            f"{where} is not valid YAML{line} ({getattr(error, 'problem', None) or error}): correct it."
-        ) from None
+        problem = getattr(error, "problem", None) or error
+        raise ParameterError(f"{where} is not valid YAML{line} ({problem}): correct it.") from None
 
 
-def read_params(path, notebook):
+def read_params(path: str | Path, notebook: str | Path) -> dict:
     """One notebook's section of a parameter file.
 
     Parameters
@@ -133,17 +113,15 @@ def read_params(path, notebook):
     notebooks = sorted(other.stem for other in notebook.parent.glob("*.ipynb"))
     for name, section in content.items():
         if name not in notebooks:
-            raise ParameterError(
-                f"{path} has a section `{name}`, but {notebook.parent} has no such notebook{did_you_mean(name, notebooks)}"
-            )
+            problem = f"{notebook.parent} has no such notebook{did_you_mean(name, notebooks)}"
+            raise ParameterError(f"{path} has a section `{name}`, but {problem}")
         if section is not None and not isinstance(section, dict):
-            raise ParameterError(
-                f"section `{name}` of {path} is a {_kind(section)}: write one `parameter: value` per line, indented."
-            )
+            remedy = "write one `parameter: value` per line, indented"
+            raise ParameterError(f"section `{name}` of {path} is a {_kind(section)}: {remedy}.")
     return content.get(notebook.stem) or {}
 
 
-def parse_settings(settings):
+def parse_settings(settings: list[str]) -> dict:
     """`name=value` arguments of the command line as a dictionary, the values read as YAML.
 
     >>> parse_settings(["seed=3", "data_dir=build/data", "lags=[1, 2]"])
@@ -153,34 +131,16 @@ def parse_settings(settings):
     for setting in settings:
         name, equals, value = setting.partition("=")
         if not equals or not name.isidentifier():
-            raise ParameterError(
-                f"--set {setting} is not understood: write --set name=value, without blanks around '='."
-            )
+            remedy = "write --set name=value, without blanks around '='"
+            raise ParameterError(f"--set {setting} is not understood: {remedy}.")
         values[name] = parse_yaml(value, f"--set {setting}")
     return values
 
 
-def check_parameters(values, defaults, where):
-    """Parameters with names and types as the notebook's defaults have them.
+def check_parameters(values: dict, defaults: dict, where: str) -> dict:
+    """The values (name -> value) with the types of the defaults: a whole number in place of a float is a float.
 
-    Parameters
-    ----------
-    values : dict
-        Name -> value.
-    defaults : dict
-        Name -> default, from :func:`notebook_defaults`.
-    where : str
-        Where the values come from, for messages.
-
-    Returns
-    -------
-    dict
-        The values; a whole number in place of a float is a float.
-
-    Raises
-    ------
-    ParameterError
-        For an unknown name or a wrong type.
+    A name or a type that the defaults do not have is a ParameterError, which says ``where`` the values come from.
     """
     for name in values:
         if name not in defaults:
@@ -194,18 +154,12 @@ def _check(value, default, name):
     if isinstance(default, float) and type(value) is int:
         return float(value)
     if type(value) is not type(default):
-        raise ParameterError(
-            f"{name} must be a {_kind(default)} (its default is {default!r}), {_remedy(value, default)}"
-        )
+        problem = f"{name} must be a {_kind(default)} (its default is {default!r})"
+        raise ParameterError(f"{problem}, {_remedy(value, default)}")
     if isinstance(value, list):
         return [_check_like_one_of(item, default, f"{name}[{n}]") for n, item in enumerate(value)]
-    alike = list(default.values())
-    return {
-        key: _check(item, default[key], f"{name}[{key}]")
-        if key in default
-        else _check_like_one_of(item, alike, f"{name}[{key}]")
-        for key, item in value.items()
-    }
+    examples = {key: [default[key]] if key in default else list(default.values()) for key in value}
+    return {key: _check_like_one_of(item, examples[key], f"{name}[{key}]") for key, item in value.items()}
 
 
 def _check_like_one_of(value, examples, name):
@@ -228,10 +182,8 @@ def _kind(value):
 
 def _remedy(value, default):
     problem = f"found {value!r} ({_kind(value)})"
-    if isinstance(value, str) and isinstance(default, (int, float)) and not isinstance(default, bool):
-        number = _as_yaml_number(value)
-        if number:
-            return f"{problem}: YAML takes {value} for text, write {number} without quotes."
+    if isinstance(value, str) and type(default) in (int, float) and _as_yaml_number(value):
+        return f"{problem}: YAML takes {value} for text, write {_as_yaml_number(value)} without quotes."
     if isinstance(default, str):
         return f"{problem}: put it in quotes."
     if isinstance(default, bool):

@@ -11,6 +11,7 @@ import platform
 import re
 import subprocess
 import sys
+from datetime import datetime
 from importlib import metadata
 from pathlib import Path
 
@@ -24,23 +25,8 @@ VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "PYTH
 INSTRUCTIONS = ("sse4_2", "avx", "fma", "avx2", "avx512f", "asimd", "sve")  # BLAS and libm choose by these
 
 
-def record(notebook, parameters, outputs, started, seconds):
-    """A record of what ran and what it wrote.
-
-    Parameters
-    ----------
-    notebook : Path
-    parameters : dict
-        All parameters, defaults included.
-    outputs : sequence of Path
-    started : datetime.datetime
-    seconds : float
-
-    Returns
-    -------
-    dict
-        As JSON holds it; ``outputs`` is path -> size, times in ns, SHA-256.
-    """
+def record(notebook: Path, parameters: dict, outputs: list[Path], started: datetime, seconds: float) -> dict:
+    """A record of what ran and what it wrote, as JSON holds it; ``parameters`` with the defaults."""
     return {
         "notebook": str(notebook),
         "parameters": parameters,
@@ -59,12 +45,12 @@ def record(notebook, parameters, outputs, started, seconds):
     }
 
 
-def beside(artefact):
+def beside(artefact: Path) -> Path:
     """The path of an artefact's provenance: in the folder `provenance` beside it."""
     return artefact.parent / FOLDER / f"{artefact.name}.json"
 
 
-def write_beside(record):
+def write_beside(record: dict) -> None:
     """Write a file for each output of a stage: the stage's record, with the checksum of this output alone."""
     shared = {key: value for key, value in record.items() if key != "outputs"}
     for name, stamp in record["outputs"].items():
@@ -72,23 +58,19 @@ def write_beside(record):
             temporary.write_text(json.dumps({"artefact": name, **stamp, **shared}, indent=1) + "\n", encoding="utf-8")
 
 
-def file_stamp(path):
+def file_stamp(path: Path) -> dict:
     """Size, times and SHA-256 of a file, by which `tras/workflow/staleness.py` knows it again."""
     status = path.stat()
-    return {
-        "size": status.st_size,
-        "mtime_ns": status.st_mtime_ns,
-        "ctime_ns": status.st_ctime_ns,
-        "sha256": checksum(path),
-    }
+    times = {"mtime_ns": status.st_mtime_ns, "ctime_ns": status.st_ctime_ns}
+    return {"size": status.st_size, **times, "sha256": checksum(path)}
 
 
-def checksum(path):
+def checksum(path: Path) -> str | None:
     """SHA-256 of a file in hexadecimal digits, None if it is not there."""
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.exists() else None
 
 
-def git_state(folder, outputs=()):
+def git_state(folder: Path, outputs=()) -> dict:
     """Revision, and the files other than ``outputs`` that differ from it; all None outside git or without commits."""
     try:
         revision = _git(folder, "rev-parse", "HEAD").strip()
@@ -105,31 +87,23 @@ def _git(folder, *command):
     return subprocess.run(["git", *command], cwd=folder, capture_output=True, text=True, check=True).stdout
 
 
-def versions():
+def versions() -> dict[str, str]:
     """Versions that decide the numbers of a recording or a model, for its attributes."""
     import numpy
     import scipy
 
     import tras
 
-    return {
-        "tras": tras.__version__,
-        "python": platform.python_version(),
-        "numpy": numpy.__version__,
-        "scipy": scipy.__version__,
-    }
+    libraries = {"numpy": numpy.__version__, "scipy": scipy.__version__}
+    return {"tras": tras.__version__, "python": platform.python_version(), **libraries}
 
 
-def packages():
+def packages() -> dict[str, str | None]:
     """Versions of the direct dependencies, which `environment.in` lists; None for one that is not installed."""
     requirements = ROOT / "environment.in"
-    names = (
-        re.findall(r"^[A-Za-z0-9_.-]+", requirements.read_text(encoding="utf-8"), re.MULTILINE)
-        if requirements.exists()
-        else []
-    )
+    text = requirements.read_text(encoding="utf-8") if requirements.exists() else ""
     installed = {}
-    for name in names:
+    for name in re.findall(r"^[A-Za-z0-9_.-]+", text, re.MULTILINE):
         try:
             installed[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
@@ -137,12 +111,12 @@ def packages():
     return installed
 
 
-def processor():
+def processor() -> str:
     """The processor's name."""
     return _cpu("model name") or platform.processor() or platform.machine()
 
 
-def instructions():
+def instructions() -> list[str]:
     """Which of the vector instructions that decide last bits it has; empty where Linux does not say."""
     flags = (_cpu("flags") or _cpu("Features") or "").split()
     return [name for name in INSTRUCTIONS if name in flags]
@@ -156,14 +130,11 @@ def _cpu(entry):
     return match[1] if match else ""
 
 
-def summary():
+def summary() -> str:
     """This checkout and this machine in one line."""
     state, libraries = git_state(ROOT), versions()
-    revision = (
-        f"revision {state['revision'][:12]}{' with changes' if state['dirty'] else ''}"
-        if state["revision"]
-        else "no revision"
-    )
+    changes = " with changes" if state["dirty"] else ""
+    revision = f"revision {state['revision'][:12]}{changes}" if state["revision"] else "no revision"
     machine = f"{processor()} ({' '.join(instructions()[-1:])})" if instructions() else processor()
-    packages_used = ", ".join(f"{name} {libraries[name]}" for name in ("numpy", "scipy"))
-    return f"{revision}, Python {libraries['python']}, {packages_used}, {sys.platform}, {machine}"
+    parts = ["Python {python}, numpy {numpy}, scipy {scipy}".format(**libraries), sys.platform, machine]
+    return ", ".join([revision, *parts])

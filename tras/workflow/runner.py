@@ -2,11 +2,8 @@
 
     python -m tras.workflow.runner NOTEBOOK EXECUTED [--params FILE.yaml] [--set name=value ...] [--outputs PATH ...]
 
-A parameter whose name or type the notebook's `parameters` cell does not know is an error (`tras.workflow.parameters`).
-
 The executed notebook appears under its final name as the very last act of a successful run, so that make can take it as
-its stamp. Beside it, `EXECUTED.json` says what ran: parameters, revision, versions, machine, checksums of the outputs;
-and each output has its own such file beside it (`tras.workflow.provenance`).
+its stamp. `EXECUTED.json` beside it says what ran, and so does a file beside each output (`tras.workflow.provenance`).
 """
 
 import argparse
@@ -42,10 +39,7 @@ class Interrupted(KeyboardInterrupt):
     received = False  # the kernel manager asks here whether to wait for the kernel's farewell
 
 
-# --- the run ----------------------------------------------------------------------------------------------------------
-
-
-def run_notebook(notebook, executed, parameters=None, outputs=()):
+def run_notebook(notebook: str | Path, executed: str | Path, parameters: dict | None = None, outputs=()) -> float:
     """Execute a notebook; its executed copy appears under its final name only if everything went well.
 
     Parameters
@@ -60,13 +54,12 @@ def run_notebook(notebook, executed, parameters=None, outputs=()):
     Returns
     -------
     float
-        Seconds taken.
+        Seconds.
 
     Raises
     ------
     RunError
-        When a cell fails, the kernel dies or an output is not written. The notebook up to there is kept as
-        `*.failed.ipynb`.
+        When a cell fails, the kernel dies or an output is not written; `*.failed.ipynb` is the notebook up to there.
     """
     notebook, executed, outputs = Path(notebook), Path(executed), [Path(output) for output in outputs]
     running, failed, record = (executed.with_suffix(end) for end in (".running.ipynb", ".failed.ipynb", ".json"))
@@ -75,14 +68,13 @@ def run_notebook(notebook, executed, parameters=None, outputs=()):
         folder.mkdir(parents=True, exist_ok=True)
     for leftover in (executed, record, running, failed, *sidecars, *_temporaries([record, *outputs, *sidecars])):
         leftover.unlink(missing_ok=True)
-    start, started = time.time(), datetime.datetime.now(datetime.timezone.utc)
+    start, started = time.time(), datetime.datetime.now(datetime.UTC)
     try:
         _execute(notebook, running, parameters or {})
         _check_outputs(outputs, start, notebook)
         seconds = time.time() - start
-        entry = provenance.record(
-            notebook, {**notebook_defaults(notebook), **(parameters or {})}, outputs, started, seconds
-        )
+        parameters = notebook_defaults(notebook) | (parameters or {})
+        entry = provenance.record(notebook, parameters, outputs, started, seconds)
         provenance.write_beside(entry)
         with replacing(record) as temporary:
             temporary.write_text(json.dumps(entry, indent=1) + "\n", encoding="utf-8")
@@ -128,32 +120,23 @@ def _execute(notebook, running, parameters):
             await super().shutdown_kernel(now=now or Interrupted.received, restart=restart)
 
     try:
-        papermill.execute_notebook(
-            notebook,
-            running,
-            parameters,
-            kernel_name=KERNEL,
-            progress_bar=sys.stderr.isatty(),
-            cwd=notebook.resolve().parent,  # as JupyterLab has it
-            kernel_manager_class=Manager,
-        )
+        how = {"kernel_name": KERNEL, "kernel_manager_class": Manager, "progress_bar": sys.stderr.isatty()}
+        folder = notebook.resolve().parent  # as JupyterLab has it
+        papermill.execute_notebook(notebook, running, parameters, cwd=folder, **how)
         for guard in guards:
             guard.stdin.write(b"done\n")
     except papermill.PapermillExecutionError as error:
         cell = "\n".join(f"    {line}" for line in error.source.splitlines())
-        failed = RunError(
-            f"{notebook.stem} failed in cell [{error.exec_count}]: {error.ename}: {error.evalue}\nThe cell:\n{cell}"
-        )
-        failed.name, failed.words = error.ename, error.evalue
-        raise failed from None
+        problem = f"{notebook.stem} failed in cell [{error.exec_count}]: {error.ename}: {error.evalue}"
+        failure = RunError(f"{problem}\nThe cell:\n{cell}")
+        failure.name, failure.words = error.ename, error.evalue
+        raise failure from None
     except (DeadKernelError, CellTimeoutError) as error:
-        raise RunError(
-            f"{notebook.stem}: the kernel ended in the middle of a cell ({error}); was the memory enough?"
-        ) from None
+        problem = f"the kernel ended in the middle of a cell ({error}); was the memory enough?"
+        raise RunError(f"{notebook.stem}: {problem}") from None
     except NoSuchKernel:
-        raise RunError(
-            f"{notebook.stem}: this Python has no kernel `{KERNEL}`: run `make setup` and use .venv."
-        ) from None
+        remedy = "run `make setup` and use .venv"
+        raise RunError(f"{notebook.stem}: this Python has no kernel `{KERNEL}`: {remedy}.") from None
     finally:
         for guard in guards:
             guard.communicate()
@@ -180,15 +163,12 @@ def _check_outputs(outputs, start, notebook):
 
 
 def _temporaries(finals):
-    """What a killed run has left of `tras.workflow.files.replacing`: a dot, the name, a dot, eight random characters."""
-    return [
-        path
-        for final in finals
-        for path in final.parent.glob(f".{glob.escape(final.stem)}.????????{glob.escape(final.suffix)}")
-    ]
+    """What a killed run has left of `replacing`: a dot, the name, a dot, eight random characters."""
+    patterns = {path: f".{glob.escape(path.stem)}.????????{glob.escape(path.suffix)}" for path in finals}
+    return [temporary for path, pattern in patterns.items() for temporary in path.parent.glob(pattern)]
 
 
-# --- the command line -------------------------------------------------------------------------------------------------
+# --- the command line ---
 
 
 def _interrupt(number, _frame):
@@ -210,49 +190,38 @@ def interruptible():
             signal.signal(each, handler)
 
 
-def main(arguments=None):
+def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code: 0, 1 (the run failed), 2 (the call was wrong), 130 or 143 (interrupted)."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tras.workflow.runner", description="Run one notebook with checked parameters."
-    )
+    purpose = "Run one notebook with checked parameters."
+    parser = argparse.ArgumentParser(prog="python -m tras.workflow.runner", description=purpose)
     parser.add_argument("notebook", type=Path)
     parser.add_argument("executed", type=Path, help="where the executed notebook goes")
     parser.add_argument("--params", type=Path, metavar="FILE.yaml", help="parameters, one section per notebook")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", help="one parameter more; wins over the file"
-    )
+    one_more = "one parameter more; wins over the file"
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help=one_more)
     parser.add_argument("--outputs", nargs="*", default=[], metavar="PATH", help="files that the run must write")
     options = parser.parse_args(arguments)
+    name, nothing = options.notebook.stem, f"nothing was left under the name {options.executed}."
     try:
         with interruptible():
             defaults = notebook_defaults(options.notebook)
             section = read_params(options.params, options.notebook) if options.params else {}
-            parameters = check_parameters(section, defaults, f"{options.params}, section {options.notebook.stem}")
-            parameters.update(
-                check_parameters(parse_settings(options.set), defaults, f"--set for {options.notebook.stem}")
-            )
+            parameters = check_parameters(section, defaults, f"{options.params}, section {name}")
+            parameters |= check_parameters(parse_settings(options.set), defaults, f"--set for {name}")
             seconds = run_notebook(options.notebook, options.executed, parameters, options.outputs)
-        print(f"{options.notebook.stem}  {seconds:.1f} s", flush=True)
+        print(f"{name}  {seconds:.1f} s", flush=True)
         return 0
     except ParameterError as error:
-        print(error, file=sys.stderr)
-        return 2
+        problem, code = error, 2
     except RunError as error:
-        print(error, file=sys.stderr)
-        return 1
+        problem, code = error, 1
     except OSError as error:
-        problem = f"{error.filename}: {error.strerror}" if error.filename else error
-        print(
-            f"{options.notebook.stem}: {problem}; nothing was left under the name {options.executed}.", file=sys.stderr
-        )
-        return 1
+        reason = f"{error.filename}: {error.strerror}" if error.filename else error
+        problem, code = f"{name}: {reason}; {nothing}", 1
     except Interrupted as interrupt:
-        number = interrupt.args[0]
-        print(
-            f"{options.notebook.stem} was interrupted; nothing was left under the name {options.executed}.",
-            file=sys.stderr,
-        )
-        return 128 + number
+        problem, code = f"{name} was interrupted; {nothing}", 128 + interrupt.args[0]
+    print(problem, file=sys.stderr)
+    return code
 
 
 if __name__ == "__main__":

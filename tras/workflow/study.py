@@ -1,8 +1,6 @@
-"""Every point of a grid, once: found in a folder or computed, here or in processes, and kept as soon as it is there.
+"""Every point of a grid, once: read from a folder or computed, here or in processes, and stored as soon as it is there.
 
-A point is one computation of a study. `compute` reads those that an earlier run has kept, runs the others anywhere
-(`tras.workflow.executors`) and returns all values in order. Killed or interrupted, the same call goes on where it was. `each`
-does jobs of which nothing is kept.
+Killed or interrupted, the same call of `compute` goes on where it was. `each` does jobs of which nothing is stored.
 """
 
 import contextlib
@@ -16,40 +14,37 @@ from tras.workflow import cache, executors
 
 def compute(
     work, points, shared=(), *, keys=None, folder=None, kind="point", code="", cost=None, keep=None, if_lost=None,
-    title="compute", unit=" points", progress=None, processes=None, **place,
+    title="compute", unit=" points", progress=None, processes=None, **where,
 ):  # fmt: skip
     """The values of all points.
 
     Parameters
     ----------
     work : callable
-        A function of a module; ``work(*shared, point)`` is the value of a point: anything that JSON holds, and NaN,
-        which becomes None.
+        ``work(*shared, point)`` is the value of a point: anything that JSON holds, and NaN, which becomes None.
     points : list
         Options of each point, or a group of them that is computed together.
     shared : tuple or callable
-        Arguments that all points have in common. A callable gets the list of the missing points, if there are any, and
-        returns the tuple.
+        Arguments that all points have in common; a callable makes them from the list of missing points, if any.
     keys : list of dict, optional
         All that each value depends on beside the code, as JSON holds it; default ``points``.
     folder : path, optional
-        Where values are kept, each in a file ``kind-HASH.json``; for one run of a ``kind`` at a time. Without it
-        nothing is kept.
+        Where values are stored, in files ``kind-HASH.json``, by one run of a ``kind`` at a time; default: nowhere.
     kind, code : str
         What the values are, and the digest of the code that computes them (`tras.workflow.cache.code_digest`).
     cost : callable, optional
         Of a point: the dearest are begun first, so that no process is left with a long one at the end.
     keep : callable, optional
-        Of a value: whether it goes into the folder; default: every value does.
+        Of a value: whether it goes into the folder; default: yes.
     if_lost : callable, optional
-        Of the reason: the value of a point whose every worker died. Without it such a point is an error.
+        Of the reason: the value of a point whose every worker died; without it an error.
     title, unit : str
         What is done, a verb, and to what, for the progress bar and for the message when interrupted.
     progress : bool or text stream, optional
         Where a progress bar goes; False: nowhere; default: to a terminal.
     processes : int, optional
         Number of local processes, 1 being this process; default one per core.
-    **place
+    **where
         In place of local processes: ``scheduler`` and ``alike`` of `tras.workflow.executors.run`.
 
     Returns
@@ -62,8 +57,8 @@ def compute(
     Raises
     ------
     tras.workflow.executors.SchedulerError
-        If a point is lost, or as `tras.workflow.executors.run`. What ``work`` raises is raised here. What was computed until
-        then is kept.
+        If a point is lost, or as `tras.workflow.executors.run`. What ``work`` raises is raised here. What was computed
+        until then is stored.
     KeyboardInterrupt
         With a sentence that says how much is done.
     """
@@ -72,7 +67,7 @@ def compute(
         values = [None] * len(points)
     else:
         cache.clear_temporaries(folder, kind)
-        paths = [cache.place(folder, kind, key, code) for key in keys]
+        paths = [cache.path_for(folder, kind, key, code) for key in keys]
         values = [cache.read(path, key) for path, key in zip(paths, keys)]
     missing = [k for k, value in enumerate(values) if value is None]
     if cost is not None:
@@ -84,7 +79,7 @@ def compute(
     try:
         with _bar(progress, bool(missing), total=len(points), initial=ready, desc=title, unit=unit) as bar:
             jobs = [(points[k],) for k in missing]
-            for number, value in _results(work, jobs, shared, title, processes, if_lost, **place):
+            for number, value in _results(work, jobs, shared, title, processes, if_lost, **where):
                 k = missing[number]
                 storable = folder is not None and (keep is None or keep(value))
                 values[k] = cache.write(paths[k], keys[k], value) if storable else cache.plain(value)
@@ -102,9 +97,9 @@ def each(work, jobs, shared=(), *, cost=None, title=None, processes=1, progress=
     ``cost(*job)`` and the rest as for `compute`. Without a title there is no bar.
     """
     jobs = list(jobs)
-    results, order = [None] * len(jobs), list(range(len(jobs)))
+    results, order = [None] * len(jobs), range(len(jobs))
     if cost is not None:
-        order.sort(key=lambda k: cost(*jobs[k]), reverse=True)
+        order = sorted(order, key=lambda k: cost(*jobs[k]), reverse=True)
     with _bar(progress, title is not None, total=len(jobs), desc=title, leave=False) as bar:
         for number, result in _results(work, [jobs[k] for k in order], shared, title or work.__name__, processes):
             results[order[number]] = result
@@ -120,20 +115,21 @@ def terminal():
     return contextlib.nullcontext(sys.stderr if sys.stderr.isatty() else None)
 
 
-def _results(work, jobs, shared, title, processes, if_lost=None, **place):
+def _results(work, jobs, shared, title, processes, if_lost=None, **where):
     """(number, result) of each job, as they are done."""
-    place = {"scheduler": None if processes == 1 else "processes"} | place
-    with contextlib.closing(executors.run(work, jobs, shared, processes=processes, **place)) as results:
+    where = {"scheduler": None if processes == 1 else "processes"} | where
+    with contextlib.closing(executors.run(work, jobs, shared, processes=processes, **where)) as results:
         for number, result in results:
             if isinstance(result, executors.Lost):
                 if if_lost is None:
-                    reason = f"a job of {title!r} was lost: {result.reason}; use fewer processes."
-                    raise executors.SchedulerError(reason)
+                    raise executors.SchedulerError(
+                        f"a job of {title!r} was lost: {result.reason}; use fewer processes."
+                    )
                 result = if_lost(result.reason)
             yield number, result
 
 
-def _bar(progress, wanted, **options):
+def _bar(progress, needed, **options):
     stream = progress if hasattr(progress, "write") else None
-    disable = True if progress is False or not wanted else None if progress is None else False
+    disable = True if progress is False or not needed else None if progress is None else False
     return tqdm(file=stream, disable=disable, **options)
