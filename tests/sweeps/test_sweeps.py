@@ -425,7 +425,7 @@ def test_other_code_on_a_worker_is_named(path, cluster, monkeypatch):
         (ONE | {"split_seed": 1}, {"held_out": "log.nc"}, "grid varies split_seed, but held_out is given"),
         ([], {}, "grid is empty"),
         ("Monomials", {}, "grid holds 'Monomials'; give a dict option -> list of values"),
-        (ONE, {"window": 60.0}, "window = 60 s at 0.1 s a sample: .* pieces need 2 to 61 samples"),
+        (ONE, {"window": 60.0}, "window = 60 s at 0.1 s per sample: .* pieces need 2 to 61 samples"),
         (ONE, {"window": -1}, "window is -1; give the length of a roll-out in s"),
         (ONE | {"delays": 10}, {"window": 1.0}, "window = 1 s has 11 samples, too few for 10 delays; make it longer"),
         (ONE, {"train_fraction": 2}, "train_fraction is 2; give a number between 0 and 1"),
@@ -524,7 +524,7 @@ def test_the_command_makes_table_and_figure_and_goes_on(tmp_path, capsys, monkey
     "text, status, words",
     [
         ("models: [", 2, "mine.yaml is not valid YAML"),
-        ("- 1", 2, "mine.yaml: it holds \\[1\\]; write one `name: value` a line, there are recording, models"),
+        ("- 1", 2, "mine.yaml: it holds \\[1\\]; write one `name: value` per line, there are recording, models"),
         ("recording: a.nc", 2, "mine.yaml: models is missing; there are recording"),
         ("recording: a.nc\nmodels: {}\nwindows: 3", 2, "mine.yaml: there is no 'windows': did you mean 'window'"),
         ("recording: a.nc\nmodels: {}\nwindow: -3.0", 2, "mine.yaml: window is -3.0; it should be greater than 0"),

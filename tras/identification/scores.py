@@ -5,13 +5,14 @@ import pandas as pd
 
 from tras import metrics
 from tras.identification.search import roll_outs
+from tras.recording import Recording
 
 CONSTANT, HELD = "mean of the training data", "stays where it is"
 _ONE_STEP = 20_000  # predictions over one sample, at most
 
 
-def compare(models, truth, train, latest):
-    """Metrics of every state over windows, a row a state and prediction.
+def compare(models: dict, truth: Recording, train: Recording, latest: int) -> tuple[pd.DataFrame, dict]:
+    """Metrics of every state over windows, one row per state and prediction.
 
     Parameters
     ----------
@@ -35,10 +36,8 @@ def compare(models, truth, train, latest):
     true = [x[latest:] for x, _ in truth]
     mean = np.concatenate([x for x, _ in train]).mean(axis=0)
     runs = {name: roll_outs(model, starts, latest) for name, (model, starts) in models.items()}
-    runs |= {
-        HELD: [np.repeat(x[:1], len(x), axis=0) for x in true],
-        CONSTANT: [np.repeat(mean[None], len(x), axis=0) for x in true],
-    }
+    runs[HELD] = [np.repeat(x[:1], len(x), axis=0) for x in true]
+    runs[CONSTANT] = [np.repeat(mean[None], len(x), axis=0) for x in true]
     parts = []
     for name, run in runs.items():
         scores = metrics.judge(true, run)
@@ -48,7 +47,7 @@ def compare(models, truth, train, latest):
     return pd.concat(parts, ignore_index=True), runs
 
 
-def growth(runs, truth, latest):
+def growth(runs: dict, truth: Recording, latest: int) -> pd.DataFrame:
     """Root mean square error against the time ahead: ``time`` (s), then one column per prediction.
 
     Over all states in percent of their ranges, and over the windows of full length that did not diverge.
@@ -63,8 +62,8 @@ def growth(runs, truth, latest):
     return pd.DataFrame(table)
 
 
-def typical_and_worst(run, truth, latest):
-    """Indices of two windows of full length: the one with the median error, and the one with the largest, diverged ones included."""
+def typical_and_worst(run: list, truth: Recording, latest: int) -> tuple[int, int]:
+    """Two windows of full length, by index: the one with the median error, and the worst, diverged ones included."""
     true, full, span = _full(truth, latest)
     moving = np.isfinite(span)
     error = np.array([np.nan_to_num(np.mean(((run[k] - true[k]) / span)[:, moving] ** 2), nan=np.inf) for k in full])
