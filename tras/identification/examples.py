@@ -76,8 +76,8 @@ def example(name: str, trials: int = 8, duration: float = 25.0, *, seed: int = 0
     field, units, deviations, dt, fastest, peak = SYSTEMS[name]
     rng = np.random.default_rng(seed)
     u = np.stack([multisine(duration, dt, [fastest], [peak], rng, draws=20) for _ in range(trials)])
-    starts, held = np.zeros((len(units), trials)), u.transpose(1, 2, 0)
-    x = rollout.roll_out(lambda z, v: rollout.runge_kutta(field, z, v, dt, _SUBSTEPS), starts, held)
+    starts, inputs = np.zeros((len(units), trials)), u.transpose(1, 2, 0)
+    x = rollout.roll_out(lambda z, v: rollout.runge_kutta(field, z, v, dt, _SUBSTEPS), starts, inputs)
     x = x.transpose(2, 0, 1)
     if noise:
         x = x + noise * np.array(deviations) * rng.standard_normal(x.shape)

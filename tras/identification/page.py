@@ -173,7 +173,9 @@ def _search_text(identification):
 def _candidates(identification):
     rows, count = [], len(identification.search)
     for _, row in identification.search.sort_values("error", kind="stable").head(_ROWS).iterrows():
-        mark = "<strong>chosen</strong>" if row["chosen"] else page.escape(one_line(row["failure"])[:160])
+        mark = page.escape(one_line(row["failure"])[:160]) if row["failure"] else ""
+        if row["chosen"]:
+            mark = "<strong>chosen</strong>"
         words = row["model"].dictionary.words(identification.recording.state_names)
         options = [page.escape(each) for each in (words, row["predictor"], row["delays"], row["states"])]
         numbers = [

@@ -64,9 +64,9 @@ def partition(recording: Recording) -> tuple[Recording, Recording, str]:
     """
     trials = len(recording)
     if trials >= _FEWEST_TRIALS:
-        held = np.arange(trials) % 5 == 2
-        remark = f"{held.sum()} of {trials} trajectories are kept for the test, every fifth one"
-        return recording[~held], recording[held], remark
+        of_test = np.arange(trials) % 5 == 2
+        remark = f"{of_test.sum()} of {trials} trajectories are kept for the test, every fifth one"
+        return recording[~of_test], recording[of_test], remark
     train, test, short = [], [], []
     for x, u in recording:
         end = 4 * (len(x) - 1) // 5

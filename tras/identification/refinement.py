@@ -216,10 +216,10 @@ def _descend(shooting, W, starts, cost, damping):
             step, moves = _solve(blocks, damping)
             onward = W.copy()
             onward[shooting.rows] += step.reshape(-1, shooting.N)
-            moved = [z + move for z, move in zip(starts, moves)]
-            new = shooting.cost(onward, moved)
-            if new < cost:
-                return onward, moved, new, max(damping / 100, 1e-9)
+            new_starts = [z + move for z, move in zip(starts, moves)]
+            new_cost = shooting.cost(onward, new_starts)
+            if new_cost < cost:
+                return onward, new_starts, new_cost, max(damping / 100, 1e-9)
         damping *= 100
     return W, starts, cost, damping
 

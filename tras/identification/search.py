@@ -82,15 +82,15 @@ def choose(recording: Recording, models: Iterable | None = None) -> tuple[Koopma
     models = candidates(recording) if models is None else list(models)
     if not models:
         raise ValueError("models holds no candidate; give one or more: [tras.KoopmanModel(tras.Monomials(2))].")
-    train, held = hold_out(recording)
-    if held is None:
+    train, windows = hold_out(recording)
+    if windows is None:
         raise ValueError(
             f"the recording has {recording.pairs} snapshot pairs, too few to hold trajectories out for the choice; "
             "record more, or fit one model."
         )
     latest = max(getattr(model, "delays", 0) for model in models)
     table = pd.DataFrame([
-        {"candidate": label(model), **attempt(model, train, held, held, latest), "model": model}
+        {"candidate": label(model), **attempt(model, train, windows, windows, latest), "model": model}
         for model in tqdm(models, desc="choose", leave=False, disable=None)
     ])  # fmt: skip
     table["chosen"] = table.index == best(table).name
@@ -137,12 +137,12 @@ def search(
         names.append("smoothed")
     parts, remarks = _parts(treatments, names, samples, latest)
     truth = parts["as measured"][1]
-    rows, seen = [], set()
+    rows, keys = [], set()
 
     def attempt_all(number, description, models):
         for name, model in tqdm(models, desc=description, leave=False, disable=None):
-            if (name, repr(model)) not in seen:
-                seen.add((name, repr(model)))
+            if (name, repr(model)) not in keys:
+                keys.add((name, repr(model)))
                 scores = attempt(model, *parts[name], truth, latest)
                 if not scores["failure"]:
                     model = clone(model).set_params(strength=float(scores["strength"]))
@@ -224,15 +224,15 @@ def _parts(treatments, names, samples, latest):
     train, treatments = treatments.recording, treatments.at_most(2 * SEARCHED)
     names = dict.fromkeys(["as measured", *names])
     parts = {name: hold_out(treatments.pieces(name, samples, latest + 10, SEARCHED)) for name in names}
-    fitted, held = parts["as measured"]
-    if held is None or held.lengths.min() < latest + 5:
+    pieces, windows = parts["as measured"]
+    if windows is None or windows.lengths.min() < latest + 5:
         raise ValueError(
             f"there are {train.pairs} snapshot pairs in {len(train)} trajectories to learn from, too few to hold out "
             f"pieces of {latest + 10} samples for the choice of a model: record more, or try fewer delays."
         )
-    windows = f"{len(held)} held-out pieces of {int(held.lengths[0])} samples"
-    remarks = [f"{fitted.pairs} snapshot pairs for the fits, {windows} for the errors"]
-    pairs = fitted.pairs + held.pairs
+    judge = f"{len(windows)} held-out pieces of {int(windows.lengths[0])} samples"
+    remarks = [f"{pieces.pairs} snapshot pairs for the fits, {judge} for the errors"]
+    pairs = pieces.pairs + windows.pairs
     if pairs < 0.9 * train.pairs:
         amount = f"{pairs} of {train.pairs} snapshot pairs"
         remarks.append(f"the search looks at {amount}, spread evenly; the chosen model is fitted to more")

@@ -72,8 +72,8 @@ class Description(_Strict):
     def arguments(self) -> dict:
         """Arguments of `tras.sweep`."""
         same = {name: getattr(self, name) for name in ("states", "inputs", "window", "train_fraction")}
-        held = None if self.held_out is None else self._source("held_out")
-        return {"recording": self._source("recording"), "grid": self.models, "held_out": held, **same}
+        judged_by = None if self.held_out is None else self._source("held_out")
+        return {"recording": self._source("recording"), "grid": self.models, "held_out": judged_by, **same}
 
     def _source(self, name):
         value = getattr(self, name)

@@ -29,7 +29,7 @@ class Data(NamedTuple):
     """What all points are fitted to and judged on."""
 
     train: tuple  # of `File` or `Recording`
-    held: tuple | None
+    held_out: tuple | None
     states: tuple | None
     inputs: tuple | None
     window: float  # s
@@ -48,19 +48,19 @@ def evaluate(data: Data, latest: int, point: Point) -> dict:
     Its ``outcome`` is "model" or begins with "no model" or "no result". Predictions begin at the sample ``latest``, the
     same for all points. BLAS has one thread, so that every worker gives the same bits.
     """
-    train, held = prepared(data, point.seconds, point.every, point.split_seed)
+    train, windows = prepared(data, point.seconds, point.every, point.split_seed)
     model = clone(point.model)
     try:
         with np.errstate(all="ignore"), one_blas_thread():  # what runs away is counted, not warned of
             model.fit(train, progress=False)
-            true, predicted = held.states[:, latest:], np.stack(search.roll_outs(model, held, latest))
+            true, predicted = windows.states[:, latest:], np.stack(search.roll_outs(model, windows, latest))
     except UnreadableError:
         raise  # no other point will do better
     except MemoryError:
         return {"outcome": "no result: out of memory"}
     except (ValueError, np.linalg.LinAlgError) as error:
         return {"outcome": f"no model: {' '.join(str(error).split())}"}
-    span = np.ptp(held.states, axis=(0, 1))
+    span = np.ptp(windows.states, axis=(0, 1))
     scores = metrics.judge(true, predicted, span=span)
     return {
         "outcome": "model", "functions": len(model.names_), "pairs": int(model.pairs_),
@@ -81,25 +81,25 @@ def prepared(data: Data, seconds: float | None, every: int, split_seed: int) -> 
         If the data are too short for the options, differ in their channels, or a held-out state is constant.
     """
     channels = data.states, data.inputs
-    held = _thinned(_together(data.train if data.held is None else data.held, *channels), every)
+    windows = _thinned(_together(data.train if data.held_out is None else data.held_out, *channels), every)
     try:
-        held = held.cut(round(data.window / held.dt) + 1)
+        windows = windows.cut(round(data.window / windows.dt) + 1)
     except ValueError as error:
-        raise ValueError(f"window = {data.window:g} s at {held.dt:g} s per sample: {error}") from None
-    if data.held is None:
-        train, held = held.split(data.fraction, split_seed)
+        raise ValueError(f"window = {data.window:g} s at {windows.dt:g} s per sample: {error}") from None
+    if data.held_out is None:
+        train, windows = windows.split(data.fraction, split_seed)
     else:
         if seconds is None and every == 1:
             train = [opened(source).select(states=data.states, inputs=data.inputs) for source in data.train]
         else:
             train = _thinned(_together(data.train, *channels), every)
         for i, other in enumerate(train if isinstance(train, list) else [train]):
-            require_alike(held, other, i)
-    for name, span in zip(held.state_names, np.ptp(held.states, axis=(0, 1))):
+            require_alike(windows, other, i)
+    for name, span in zip(windows.state_names, np.ptp(windows.states, axis=(0, 1))):
         if span == 0:
             fault = f"the held-out state {name!r} is constant, so there is no range to relate errors to"
             raise ValueError(f"{fault}; leave it out.")
-    return train if seconds is None else _first(train, seconds), held
+    return train if seconds is None else _first(train, seconds), windows
 
 
 def opened(source: File | Recording) -> Recording | RecordingFile:

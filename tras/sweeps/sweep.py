@@ -110,11 +110,11 @@ def same_code() -> dict:
 
 def _data(recording, held_out, states, inputs, window, fraction, points):
     """The `Data`, tried out for all points, and the names of the states."""
-    sources, held = _sources("recording", recording), None if held_out is None else _sources("held_out", held_out)
-    if held is None and not (isinstance(fraction, (int, float)) and 0 < fraction < 1):
+    sources, judged_by = _sources("recording", recording), None if held_out is None else _sources("held_out", held_out)
+    if judged_by is None and not (isinstance(fraction, (int, float)) and 0 < fraction < 1):
         raise ValueError(f"train_fraction is {fraction!r}; give a number between 0 and 1.")
     channels = (None if names is None else tuple(names) for names in (states, inputs))
-    data = Data(sources, held, *channels, 1.0 if window is None else window, fraction)
+    data = Data(sources, judged_by, *channels, 1.0 if window is None else window, fraction)
     if window is None:
         data = data._replace(window=500 * sweep_point.opened(sources[0]).dt)
     elif isinstance(window, bool) or not isinstance(window, (int, float)) or not 0 < window < math.inf:
@@ -143,8 +143,8 @@ def _keys(points, data, latest):
     if foreign:
         fault = f"{foreign[0].__name__} is no dictionary of this package, so a change of its code would go unnoticed"
         raise ValueError(f"cache: {fault}; leave cache out.")
-    held = {name: [_content(item) for item in getattr(data, name) or ()] for name in ("train", "held")}
-    content = results_cache.plain(data._asdict() | held)
+    contents = {name: [_content(item) for item in getattr(data, name) or ()] for name in ("train", "held_out")}
+    content = results_cache.plain(data._asdict() | contents)
     return [{"point": point.identity(), "data": content, "latest": latest} for point in points]
 
 
