@@ -16,13 +16,9 @@ from tras.workflow.study import each
 
 
 def bootstrap(
-    model: KoopmanModel,
-    recording: Recording,
-    draws: int = 100,
-    rng: np.random.Generator | int = 0,
-    *,
-    processes: int = 1,
-) -> list[KoopmanModel]:
+    model: KoopmanModel, recording: Recording, draws: int = 100, rng: np.random.Generator | int = 0,
+    *, processes: int = 1,
+) -> list[KoopmanModel]:  # fmt: skip
     """The model fitted to resampled recordings: an ensemble whose spread is that of the fit.
 
     Parameters

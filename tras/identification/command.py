@@ -110,10 +110,8 @@ def _parameters(options, out, root):
             fault = "is a folder" if path.is_dir() else "does not exist"
             raise ParameterError(f"{what}: {path} {fault}; give the path of a file.")
     if options.recording.suffix not in SUFFIXES:
-        raise ParameterError(
-            f"RECORDING: {options.recording} ends in {options.recording.suffix!r}; "
-            "recordings are .csv, .parquet, .mat or .nc files."
-        )
+        fault = f"{options.recording} ends in {options.recording.suffix!r}"
+        raise ParameterError(f"RECORDING: {fault}; recordings are .csv, .parquet, .mat or .nc files.")
     if out.exists() and not out.is_dir():
         raise ParameterError(f"OUT: {out} is a file; give a folder.")
     paths = {"recording": options.recording, "out_dir": out, "roles": options.roles}

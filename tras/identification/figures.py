@@ -72,9 +72,7 @@ def prediction_figure(table: pd.DataFrame, states: list[str], units: list[str]) 
     for row, state, label in zip(axes, states, _with_units(states, units)):
         for panel, name in zip(row, windows):
             part = table[table["window"] == name]
-            time, true, model, linear, low, high = (
-                part[column] for column in ("time", *(f"{state}: {k}" for k in kinds))
-            )
+            time, (true, model, linear, low, high) = part["time"], [part[f"{state}: {kind}"] for kind in kinds]
             reach = 1.5 * max(true.max() - true.min(), 1e-300)
             inside = (true.min() - reach, true.max() + reach)
             if low.notna().any():

@@ -32,9 +32,8 @@ def add_noise(recording: Recording, level: ArrayLike, rng: np.random.Generator |
     recording = join(recording)
     fraction = np.asarray(level, dtype=float)
     if fraction.shape not in ((), (recording.n,)) or not (np.isfinite(fraction).all() and (fraction >= 0).all()):
-        raise ValueError(
-            f"level is {level!r}; give a fraction of the range, 0 or more (0.01 is 1 %), or {recording.n} of them."
-        )
+        remedy = f"give a fraction of the range, 0 or more (0.01 is 1 %), or {recording.n} of them"
+        raise ValueError(f"level is {level!r}; {remedy}.")
     arguments.seed("rng", rng, "the noise")
     rng = np.random.default_rng(rng)
     sigma = fraction * np.ptp(np.concatenate([x for x, _ in recording]), axis=0)

@@ -53,9 +53,9 @@ def write_page(identification, log, name, figures, exports, failures, formulas="
     put(f"# Identification of {_plain(name)}")
     put("## In short", text(advice.verdict(identification)), _chosen(identification), _advice(identification))
     sentences = _list(remarks(log)), _list(step_remarks["pairs"])
-    caption = (
-        f"The recording, trajectories one behind the other (grey lines where one begins). {_shown(identification)}"
-    )
+    channels = identification.recording.n + identification.recording.m
+    more = f"Six of {channels} channels are shown." if channels > 6 else ""
+    caption = f"The recording, trajectories one behind the other (grey lines where one begins). {more}"
     data = picture("data", "All channels over time", caption)
     put("## The recording", text(_size(identification)), *sentences, _channels(identification), data)
     caption = "Where in frequency the channels move, by Welch's method: share of variance per Hz. Means are taken away."
@@ -116,11 +116,6 @@ def _size(identification):
     trajectories = "1 trajectory" if facts["trajectories"] == 1 else f"{facts['trajectories']} trajectories"
     amount = f"{facts['samples']} samples, {facts['pairs']} snapshot pairs, {facts['seconds']:.4g} s in all"
     return f"{trajectories} of {lengths} samples at {facts['dt']:.6g} s: {amount}."
-
-
-def _shown(identification):
-    many = identification.recording.n + identification.recording.m
-    return f"Six of {many} channels are shown." if many > 6 else ""
 
 
 def _channels(identification):

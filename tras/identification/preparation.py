@@ -41,14 +41,11 @@ def without_idle_channels(recording: Recording) -> tuple[Recording, list[str]]:
         active.append(name)
         if basis.shape[1] <= 200:
             basis = np.hstack([basis, (rest / np.linalg.norm(rest))[:, None]])
-    states, inputs = (
-        [name for name in part if name in active] for part in (recording.state_names, recording.input_names)
-    )
+    states = [name for name in recording.state_names if name in active]
     if not states:
-        raise ValueError(
-            f"no state moves: {'; '.join(remarks)}. Give others as states, or record while something happens."
-        )
-    return recording.select(states=states, inputs=inputs), remarks
+        remedy = "Give others as states, or record while something happens."
+        raise ValueError(f"no state moves: {'; '.join(remarks)}. {remedy}")
+    return recording.select(states=states, inputs=[name for name in recording.input_names if name in active]), remarks
 
 
 def partition(recording: Recording) -> tuple[Recording, Recording, str]:

@@ -82,14 +82,12 @@ def _full(truth, latest):
 def _one_step(model, starts, truth):
     """NRMSE (%) of predictions over one sample."""
     count = model.delays + 2
-    cut = [
-        (s[k : k + count], u[k : k + count], x[k + count - 1])
-        for (s, u), (x, _) in zip(starts, truth)
-        for k in range(0, len(s) - count + 1, count - 1)
-    ]
-    cut = cut[:: max(1, len(cut) // _ONE_STEP)]
-    pieces = starts.with_data([s for s, _, _ in cut], [u for _, u, _ in cut])
+    parts = []
+    for (s, u), (x, _) in zip(starts, truth):
+        ends = range(count, len(s) + 1, count - 1)
+        parts += [(s[end - count : end], u[end - count : end], x[end - 1 : end]) for end in ends]
+    states, inputs, true = map(list, zip(*parts[:: max(1, len(parts) // _ONE_STEP)]))
     with np.errstate(over="ignore", invalid="ignore"):
-        predicted = np.asarray(model.predict(pieces))[:, -1:]
+        predicted = np.asarray(model.predict(starts.with_data(states, inputs)))[:, -1:]
     span = np.ptp(np.concatenate([x for x, _ in truth]), axis=0)
-    return metrics.judge(np.array([[x] for *_, x in cut]), predicted, span=span).nrmse
+    return metrics.judge(np.array(true), predicted, span=span).nrmse
