@@ -11,8 +11,8 @@ from tras.recording import Recording
 from tras.sweeps import point as sweep_point
 from tras.sweeps.grid import points as points_of
 from tras.sweeps.point import Data, File
+from tras.workflow import arguments, executors
 from tras.workflow import cache as results_cache
-from tras.workflow import executors
 from tras.workflow.provenance import versions
 from tras.workflow.study import compute
 
@@ -111,14 +111,13 @@ def same_code() -> dict:
 def _data(recording, held_out, states, inputs, window, fraction, points):
     """The `Data`, tried out for all points, and the names of the states."""
     sources, judged_by = _sources("recording", recording), None if held_out is None else _sources("held_out", held_out)
-    if judged_by is None and not (isinstance(fraction, (int, float)) and 0 < fraction < 1):
-        raise ValueError(f"train_fraction is {fraction!r}; give a number between 0 and 1.")
-    channels = (None if names is None else tuple(names) for names in (states, inputs))
-    data = Data(sources, judged_by, *channels, 1.0 if window is None else window, fraction)
+    if judged_by is None:
+        arguments.number("train_fraction", fraction, 0, 1, ends=False)
     if window is None:
-        data = data._replace(window=500 * sweep_point.opened(sources[0]).dt)
-    elif isinstance(window, bool) or not isinstance(window, (int, float)) or not 0 < window < math.inf:
-        raise ValueError(f"window is {window!r}; give the length of a roll-out in s.")
+        window = 500 * sweep_point.opened(sources[0]).dt
+    arguments.number("window", window, 0, ends=False, give="the length of a roll-out in s")
+    channels = (None if names is None else tuple(names) for names in (states, inputs))
+    data = Data(sources, judged_by, *channels, window, fraction)
     for options in dict.fromkeys((point.seconds, point.every, point.split_seed) for point in points):
         _, judged = sweep_point.prepared(data, *options)
     longest = max(point.model.delays for point in points)
