@@ -27,8 +27,8 @@ def fitted(recording):
 def test_coverage_is_what_was_asked_for():
     """Of forty recordings of the same system, the bands hold the exact trajectory about as often as they say.
 
-    One recording's coverage scatters by 0.2 (its errors are the same for all instants), so the mean of forty by 0.03; twenty trajectories make percentile
-    intervals a few percent too narrow (Efron and Tibshirani, 1993, Ch. 14).
+    One recording's coverage scatters by 0.2 (its errors are the same for all instants), so the mean of forty by 0.03;
+    twenty trajectories make percentile intervals a few percent too narrow (Efron and Tibshirani, 1993, Ch. 14).
     """
     exact = noisy(99, 4, 30, noise=0.0)
     inside = {0.5: [], 0.9: []}

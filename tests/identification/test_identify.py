@@ -5,8 +5,7 @@ import pandas as pd
 import pytest
 
 import tras
-from tras.identification import advice, preparation, search
-from tras.identification import checks as datachecks
+from tras.identification import advice, checks, preparation, search
 from tras.identification import folder as identify_files
 from tras.identification.examples import cart_pole, duffing, example
 from tras.identification.scores import compare, growth, typical_and_worst
@@ -21,7 +20,7 @@ def one(states, inputs=None, dt=0.01, **labels):
 
 
 def row(recording, name):
-    return datachecks.channels(recording).set_index("channel").loc[name]
+    return checks.channels(recording).set_index("channel").loc[name]
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +33,7 @@ def identification(log):
     return tras.identify(log, predictor="one_step", delays=[0, 1], draws=5)
 
 
-# --- examples ----------------------------------------------------------------------------------------------------------------------
+# --- examples ---
 
 
 @pytest.mark.parametrize(
@@ -70,17 +69,18 @@ def test_fields_are_batched_and_sensors_have_steps():
         example("pendulum")
 
 
-# --- checks ------------------------------------------------------------------------------------------------------------------------
+# --- checks ---
 
 
 def test_limits_are_told_from_extremes():
     wave = np.sin(3 * T + 0.001)
     at = {
-        "free": wave, "clipped": np.clip(wave, -0.8, 2), "coarse": np.round(wave, 1), "very coarse": np.round(wave * 400) / 400, "switch": np.sign(wave),
-        "at rest once": np.where(T < 15, np.abs(wave), 0), "levels": np.repeat(np.random.default_rng(0).uniform(-1, 1, 40), 50),
+        "free": wave, "clipped": np.clip(wave, -0.8, 2), "coarse": np.round(wave, 1), "switch": np.sign(wave),
+        "very coarse": np.round(wave * 400) / 400, "at rest once": np.where(T < 15, np.abs(wave), 0),
+        "levels": np.repeat(np.random.default_rng(0).uniform(-1, 1, 40), 50),
     }  # fmt: skip
     recording = one([T], list(at.values()), state_names=["q"], input_names=list(at))
-    table = datachecks.channels(recording).set_index("channel")
+    table = checks.channels(recording).set_index("channel")
     assert (
         table.loc["clipped", "at_lowest"] == pytest.approx(np.mean(wave <= -0.8))
         and table.loc["clipped", "at_highest"] == 0
@@ -125,7 +125,7 @@ def test_feedback_is_told_from_a_signal_of_its_own():
     x = np.cumsum(rng.normal(size=(2000, 2)), axis=0)
     own = rng.normal(size=2000)
     loop = x @ [2.0, -0.5] + 0.1 * np.std(x @ [2.0, -0.5]) * rng.normal(size=2000) + 7
-    shares = datachecks.feedback(R([x], [np.column_stack([own, loop])], 0.1))
+    shares = checks.feedback(R([x], [np.column_stack([own, loop])], 0.1))
     assert shares["u1"] < 0.02 and shares["u2"] == pytest.approx(1 / 1.01, abs=0.003)
 
 
@@ -134,31 +134,31 @@ def test_a_multisine_excites_twice_as_deep_as_it_has_lines(lines):
     """J. C. Willems et al. (2005): each sinusoid adds two to the order."""
     u = sum(np.sin((1.0 + 0.7 * k) * T + k) for k in range(lines))
     recording = one([T], [u + 5])  # an offset excites nothing
-    assert datachecks.excitation_order(recording, lag=40) == 2 * lines
+    assert checks.excitation_order(recording, lag=40) == 2 * lines
     white = np.random.default_rng(0).normal(size=(2000, 2))
-    assert datachecks.excitation_order(R([white], [white], 0.01)) == 20
-    assert datachecks.excitation_order(one([T])) is None
+    assert checks.excitation_order(R([white], [white], 0.01)) == 20
+    assert checks.excitation_order(one([T])) is None
 
 
 def test_spectrum_and_rank():
     recording = one([np.sin(2 * np.pi * 5 * T)], [np.sin(2 * np.pi * 2 * T) + 3])
-    table = datachecks.spectrum(recording)
+    table = checks.spectrum(recording)
     assert table["frequency"][table["x1"].argmax()] == pytest.approx(5, abs=0.1) and table["frequency"][
         table["u1"].argmax()
     ] == pytest.approx(2, abs=0.1)
     assert np.trapezoid(table["x1"], table["frequency"]) == pytest.approx(1, abs=0.02)
-    facts = datachecks.check(recording).facts
+    facts = checks.check(recording).facts
     assert facts["rank"] == facts["channels"] == 3 and facts["condition"] < 5
-    assert datachecks.check(one([np.sin(T), np.sin(T) + 1e-6 * np.cos(9 * T)])).facts["rank"] == 2
-    assert len(datachecks.spectrum(R([np.ones((5, 1))], None, 1.0))) == 0
+    assert checks.check(one([np.sin(T), np.sin(T) + 1e-6 * np.cos(9 * T)])).facts["rank"] == 2
+    assert len(checks.spectrum(R([np.ones((5, 1))], None, 1.0))) == 0
 
 
 def test_beyond():
     train, test = one([np.linspace(0, 1, 11)]), one([np.linspace(0.5, 1.5, 11)])
-    assert datachecks.beyond(train, test) == {"x1": pytest.approx(5 / 11)}
+    assert checks.beyond(train, test) == {"x1": pytest.approx(5 / 11)}
 
 
-# --- preparation -------------------------------------------------------------------------------------------------------------------
+# --- preparation ---
 
 
 def test_idle_channels_are_left_out_and_said():
@@ -171,9 +171,11 @@ def test_idle_channels_are_left_out_and_said():
     )
     assert used.state_names == ("a", "b") and used.input_names == ("free",)
     assert remarks == [
-        "still is constant (3.5) and was left out", "a_deg is a linear combination of a at every sample and was left out",
-        "fed is a linear combination of a and b at every sample and was left out", "off is constant (0) and was left out",
-    ]  # fmt: skip
+        "still is constant (3.5) and was left out",
+        "a_deg is a linear combination of a at every sample and was left out",
+        "fed is a linear combination of a and b at every sample and was left out",
+        "off is constant (0) and was left out",
+    ]
     with pytest.raises(ValueError, match="no state moves: x1 is constant"):
         preparation.without_idle_channels(one([np.ones(10)], [T[:10]]))
 
@@ -232,7 +234,7 @@ def test_long_recordings_are_smoothed_in_chunks_and_keep_their_length(monkeypatc
     assert preparation.is_noisy(r) and not preparation.is_noisy(exact)
 
 
-# --- search and scores -------------------------------------------------------------------------------------------------------------
+# --- search and scores ---
 
 
 def test_the_search_finds_what_made_the_data(identification, log):
@@ -306,7 +308,7 @@ def test_scores_are_the_metrics(log):
     assert typical_and_worst(runs["model"], windows, 0)[1] == 7
 
 
-# --- advice ------------------------------------------------------------------------------------------------------------------------
+# --- advice ---
 
 
 def abouts(recording, **options):
@@ -379,7 +381,7 @@ def test_too_little_excitation_short_and_unstable():
     assert "an unstable operator" in told and "doubles every 0.727 s" in told["an unstable operator"].text
 
 
-# --- files -------------------------------------------------------------------------------------------------------------------------
+# --- files ---
 
 
 def test_files_are_replaced_and_those_of_others_left(identification, log, tmp_path, monkeypatch):

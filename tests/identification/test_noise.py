@@ -1,4 +1,4 @@
-"""Noise: added as asked, measured, smoothed as the dense Gaussian posterior has it, and a field refined as scipy's least squares would."""
+"""Noise: added, measured, smoothed as the dense Gaussian posterior has it, a field refined as scipy would refine it."""
 
 import numpy as np
 import pytest
@@ -20,10 +20,12 @@ def pendulum(samples=400, trajectories=4, dt=0.02, seed=0):
     x = np.empty((trajectories, samples, 2))
     x[:, 0] = rng.uniform(-1, 1, (trajectories, 2))
     for k in range(samples - 1):
-        flow = integrate.solve_ivp(
-            lambda t, s, u=u[:, k, 0]: np.concatenate([s[trajectories:], -3 * np.sin(s[:trajectories]) - 0.3 * s[trajectories:] + u]),
-            (0, dt), x[:, k].T.ravel(), rtol=1e-9, atol=1e-10,
-        )  # fmt: skip
+
+        def rates(t, s, held=u[:, k, 0]):
+            q, v = np.split(s, 2)
+            return np.concatenate([v, -3 * np.sin(q) - 0.3 * v + held])
+
+        flow = integrate.solve_ivp(rates, (0, dt), x[:, k].T.ravel(), rtol=1e-9, atol=1e-10)
         x[:, k + 1] = flow.y[:, -1].reshape(2, -1).T
     return tras.Recording(x, u, dt, **NAMES)
 
@@ -39,7 +41,7 @@ def error(a, b):
     return np.sqrt(np.mean((a - b) ** 2, axis=0)) / (np.ptp(b, axis=0) / 2)
 
 
-# ------------------------------------------------------------------------------------------------------------- adding, measuring
+# --- adding, measuring ---
 
 
 def test_noise_has_the_size_that_was_asked_for_and_inputs_stay(swing):
@@ -55,7 +57,7 @@ def test_noise_has_the_size_that_was_asked_for_and_inputs_stay(swing):
 
 
 def test_noise_level_does_not_see_what_is_smooth():
-    """Third differences of a parabola vanish, so on one the level is that of the noise, to the statistics of 20 000 samples."""
+    """Third differences of a parabola vanish: what is left is the noise, to the statistics of 20 000 samples."""
     t = 0.01 * np.arange(20_000)
     x = np.stack([3 - 2 * t + 0.1 * t**2, 1e3 * t], axis=-1)
     noise = np.random.default_rng(0).standard_normal(x.shape) * [0.2, 1e-3]
@@ -71,12 +73,12 @@ def test_noise_level_follows_the_units(units, seed):
     assert tras.noise_level(tras.Recording([x * units], dt=0.1)) == pytest.approx(level * units, rel=1e-9)
 
 
-# -------------------------------------------------------------------------------------------------------------------- smoothing
+# --- smoothing ---
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4])
 def test_integrated_noise_against_its_integral(order):
-    """Transition exp(N) and covariance: the integral of exp(N s) e e^T exp(N s)^T over one sample, N the shift, e the last unit vector."""
+    """Transition exp(N), covariance the integral of exp(N s) e e^T exp(N s)^T: N the shift, e the last unit vector."""
     A, Q = smoothing._integrated_noise(order)
     shift = np.eye(order, k=1)
     assert np.allclose(A, linalg.expm(shift))
@@ -103,7 +105,7 @@ def dense_covariance(samples, order, channels, deviation, intensity):
 
 
 def dense_posterior(y, order, deviation, intensity):
-    """The likeliest states, by one QR decomposition over the whole trajectory: start, steps and measurements, each over its deviation."""
+    """The likeliest states, by one QR decomposition: start, steps and measurements, each over its deviation."""
     samples, channels = y.shape
     A, Q = smoothing._integrated_noise(order)
     step = np.linalg.inv(np.linalg.cholesky(intensity * Q))
@@ -179,7 +181,7 @@ def test_smoothing_does_not_feel_units_and_takes_unequal_lengths_and_constants(s
         assert np.allclose(x * [1e3, 1e3, 1e-2], y, rtol=0, atol=1e-6 * np.abs(y).max()) and np.all(x[:, 2] == 7)
 
 
-# ------------------------------------------------------------------------------------------------------------------- refinement
+# --- refinement ---
 
 
 @pytest.fixture(scope="module")
@@ -191,7 +193,7 @@ def scalar():
 
 
 def shooting_residuals(model, recording, level):
-    """The same problem for scipy: a function of (W, initial states) -> weighted residuals, by the model's own Runge-Kutta steps."""
+    """The same problem for scipy: (W, initial states) -> weighted residuals, by the model's own Runge-Kutta steps."""
     N, scale = len(model.names_), model.x_scale_
     x = (recording.states - model.x_offset_) / scale
     u = (recording.inputs - model.u_offset_) / model.u_scale_
@@ -316,7 +318,7 @@ def test_a_chaotic_system_is_followed_in_short_pieces():
     )
 
 
-# --------------------------------------------------------------------------------------------------------------------- mistakes
+# --- mistakes ---
 
 
 @pytest.mark.parametrize(

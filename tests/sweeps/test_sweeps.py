@@ -1,4 +1,4 @@
-"""Sweeps: each point is what the public names give, the same wherever it runs, once; and no mistake, damage or kill costs more than a sentence."""
+"""Sweeps: each point is what the public names give, wherever it runs, once; no damage costs more than a sentence."""
 
 import json
 import os
@@ -12,10 +12,10 @@ from conftest import ROOT, linear_system
 import tras
 from tras.dictionaries.base import label
 from tras.metrics import nrmse
-from tras.sweeps import command as sweep_run
-from tras.sweeps import figures as figures_sweep
+from tras.sweeps import command
 from tras.sweeps import point as sweep_point
 from tras.sweeps import sweep as sweeps
+from tras.sweeps.figures import sweep_figure
 from tras.sweeps.grid import dictionaries, points
 from tras.workflow import cache, executors
 
@@ -78,7 +78,7 @@ def same(table, other):
     return table.drop(columns="model").equals(other.drop(columns="model"))
 
 
-# ---------------------------------------------------------------------------------------------------------------------- the numbers
+# --- the numbers ---
 
 
 def test_a_point_is_what_the_public_names_give(recording, computed):
@@ -165,15 +165,13 @@ def test_held_out_files_and_windows(path, recording, tmp_path):
 def test_a_fit_that_fails_is_a_row(recording):
     grid = [{"dictionary": tras.Monomials(12), "strength": 0.0, "predictor": "one_step", "seconds": 20.0}, ONE]
     table = run(recording, grid)
-    assert (
-        table["outcome"].iloc[0]
-        == "no model: 200 snapshot pairs cannot determine 455 functions; record at least 455 pairs or use a smaller dictionary."
-    )
+    reason = "200 snapshot pairs cannot determine 455 functions; record at least 455 pairs or use a smaller dictionary."
+    assert table["outcome"].iloc[0] == f"no model: {reason}"
     assert table.loc[0, RESULTS[:-2]].isna().all() and list(table["best"]) == [False, True]
     none = run(recording, grid[0])
     assert not none["best"].any()
     with pytest.raises(ValueError, match="table has no model"):
-        figures_sweep.sweep_figure(none)
+        sweep_figure(none)
 
 
 def test_windows_that_diverge_are_counted_and_left_out_of_nrmse_only(recording, monkeypatch):
@@ -208,7 +206,7 @@ def test_windows_that_diverge_are_counted_and_left_out_of_nrmse_only(recording, 
     )
 
 
-# ---------------------------------------------------------------------------------------------------------------------- where it runs
+# --- where it runs ---
 
 
 @pytest.mark.slow
@@ -258,7 +256,7 @@ def test_a_point_that_kills_every_worker_is_a_row_and_is_tried_again(path, tmp_p
     assert (run(path, cache=tmp_path)["outcome"] == "model").all()
 
 
-# ---------------------------------------------------------------------------------------------------------------------- the cache
+# --- the cache ---
 
 
 def counted(monkeypatch):
@@ -352,7 +350,7 @@ def test_interrupted_and_gone_on_with(path, computed, tmp_path, monkeypatch):
     assert same(run(path, cache=tmp_path), computed[1]) and len(calls) == 5
 
 
-# ---------------------------------------------------------------------------------------------------------------------- the mistakes
+# --- the mistakes ---
 
 
 def meddled(monkeypatch, change):
@@ -425,7 +423,7 @@ def test_other_code_on_a_worker_is_named(path, cluster, monkeypatch):
         (ONE | {"split_seed": 1}, {"held_out": "log.nc"}, "grid varies split_seed, but held_out is given"),
         ([], {}, "grid is empty"),
         ("Monomials", {}, "grid holds 'Monomials'; give a dict option -> list of values"),
-        (ONE, {"window": 60.0}, "window = 60 s at 0.1 s a sample: .* pieces need 2 to 61 samples"),
+        (ONE, {"window": 60.0}, "window = 60 s at 0.1 s per sample: .* pieces need 2 to 61 samples"),
         (ONE, {"window": -1}, "window is -1; give the length of a roll-out in s"),
         (ONE | {"delays": 10}, {"window": 1.0}, "window = 1 s has 11 samples, too few for 10 delays; make it longer"),
         (ONE, {"train_fraction": 2}, "train_fraction is 2; give a number between 0 and 1"),
@@ -482,20 +480,20 @@ def test_dictionaries_as_yaml_has_them():
     assert len(twice) == 1
 
 
-# ------------------------------------------------------------------------------------------------------------------- the command
+# --- the command ---
 
 
 @pytest.mark.slow
 def test_the_command_makes_table_and_figure_and_goes_on(tmp_path, capsys, monkeypatch):
     call = [str(ROOT / "params" / "sweeps" / "smoke.yaml"), "--out", str(tmp_path), "--scheduler", "none"]
-    assert sweep_run.main(call) == 0
+    assert command.main(call) == 0
     said = capsys.readouterr().out
     assert (
         "13 fits, 12 with a model" in said
         and "Mechanical(degree=4), N = 45, predictor vector_field" in said.splitlines()[1]
         and "table.csv" in said
     )
-    (axes,) = figures_sweep.sweep_figure(pd.read_csv(tmp_path / "error.csv")).axes
+    (axes,) = sweep_figure(pd.read_csv(tmp_path / "error.csv")).axes
     lines = {line.get_label(): line for line in axes.lines if len(line.get_xdata()) > 1}
     best = (
         pd.read_csv(tmp_path / "error.csv")
@@ -516,7 +514,7 @@ def test_the_command_makes_table_and_figure_and_goes_on(tmp_path, capsys, monkey
         and table["outcome"].iloc[-1].startswith("no model: 400 snapshot pairs")
     )
     calls = counted(monkeypatch)
-    assert sweep_run.main(call) == 0 and not calls
+    assert command.main(call) == 0 and not calls
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir() if p.is_file()} == files
 
 
@@ -524,7 +522,7 @@ def test_the_command_makes_table_and_figure_and_goes_on(tmp_path, capsys, monkey
     "text, status, words",
     [
         ("models: [", 2, "mine.yaml is not valid YAML"),
-        ("- 1", 2, "mine.yaml: it holds \\[1\\]; write one `name: value` a line, there are recording, models"),
+        ("- 1", 2, "mine.yaml: it holds \\[1\\]; write one `name: value` per line, there are recording, models"),
         ("recording: a.nc", 2, "mine.yaml: models is missing; there are recording"),
         ("recording: a.nc\nmodels: {}\nwindows: 3", 2, "mine.yaml: there is no 'windows': did you mean 'window'"),
         ("recording: a.nc\nmodels: {}\nwindow: -3.0", 2, "mine.yaml: window is -3.0; it should be greater than 0"),
@@ -544,9 +542,7 @@ def test_the_command_makes_table_and_figure_and_goes_on(tmp_path, capsys, monkey
 )
 def test_mistakes_in_the_file_are_one_sentence(tmp_path, capsys, text, status, words):
     (tmp_path / "mine.yaml").write_text(text)
-    assert (
-        sweep_run.main([str(tmp_path / "mine.yaml"), "--out", str(tmp_path / "out"), "--scheduler", "none"]) == status
-    )
+    assert command.main([str(tmp_path / "mine.yaml"), "--out", str(tmp_path / "out"), "--scheduler", "none"]) == status
     captured = capsys.readouterr()
     assert (
         pd.Series([captured.err]).str.contains(words).all()
@@ -558,7 +554,7 @@ def test_mistakes_in_the_file_are_one_sentence(tmp_path, capsys, text, status, w
 
 def test_roles_no_file_no_model_and_ctrl_c(recording, tmp_path, capsys, monkeypatch):
     assert (
-        sweep_run.main([str(tmp_path / "none.yaml")]) == 2
+        command.main([str(tmp_path / "none.yaml")]) == 2
         and "none.yaml cannot be read (No such file" in capsys.readouterr().err
     )
     frame = recording.to_frame().rename(columns={"x1": "a", "x2": "b", "u1": "c", "time": "stamp"})
@@ -570,7 +566,7 @@ def test_roles_no_file_no_model_and_ctrl_c(recording, tmp_path, capsys, monkeypa
     description |= {"window": 6.0, "models": {"dictionary": {"Monomials": {"degree": 17}}, "strength": 0.0}}
     (tmp_path / "mine.yaml").write_text(json.dumps(description))
     call = [str(tmp_path / "mine.yaml"), "--out", str(tmp_path / "out"), "--scheduler", "none"]
-    assert sweep_run.main(call) == 1
+    assert command.main(call) == 1
     said = capsys.readouterr().out
     assert (
         "1 fits, 0 with a model" in said and "none has a model; the first because: no model: 960 snapshot pairs" in said
@@ -579,15 +575,15 @@ def test_roles_no_file_no_model_and_ctrl_c(recording, tmp_path, capsys, monkeypa
     monkeypatch.setattr(sweep_point, "evaluate", lambda *_: os.kill(os.getpid(), signal.SIGTERM))
     description["models"]["dictionary"] = "Monomials"
     (tmp_path / "mine.yaml").write_text(json.dumps(description))
-    assert sweep_run.main(call) == 130
+    assert command.main(call) == 130
     assert "interrupted; 0 of 1 fits are done and kept in" in capsys.readouterr().err
 
 
 def test_the_description_in_the_documentation_is_one():
     text = (ROOT / "docs" / "scale.md").read_text(encoding="utf-8")
     block = text.partition("```yaml\n")[2].partition("```")[0]
-    given = sweep_run._checked(sweep_run.Description, sweep_run.parse_yaml(block, "docs/scale.md"), "").arguments()
+    given = command._checked(command.Description, command.parse_yaml(block, "docs/scale.md"), "").arguments()
     assert given["recording"] == ["monday.nc", "tuesday.nc"] and given["held_out"] == ["friday.nc"]
     assert len(points(given["grid"])) == 4 * 2 * 2 * 2 * 2
-    default = sweep_run.read(ROOT / "params" / "sweeps" / "dictionaries.yaml")
+    default = command.read(ROOT / "params" / "sweeps" / "dictionaries.yaml")
     assert len(points(default.models)) == 96  # as the documentation says

@@ -1,5 +1,6 @@
-"""What to mind about an identification, in sentences: rules over the numbers of `tras.identification.checks` and of the test."""
+"""What to mind about an identification, in sentences: rules over the numbers of `checks` and of the test."""
 
+import itertools
 import math
 from functools import partial
 from typing import NamedTuple
@@ -23,14 +24,14 @@ WEIGHTS = ("stop", "warning", "note")
 stop, warning, note = (partial(Advice, weight) for weight in WEIGHTS)
 
 
-def of(identification, log):
-    """All advice on a `tras.identification.identification.Identification` of the recording ``log``, the gravest first."""
+def of(identification, log) -> list[Advice]:
+    """All advice on an `Identification` of the recording ``log``, the gravest first."""
     about_data = [*_data(identification, log), *_excitation(identification)]
     advice = [*_verdict(identification), *about_data, *_model(identification), *_reach(identification)]
     return sorted(advice, key=lambda each: WEIGHTS.index(each.weight))
 
 
-def verdict(identification):
+def verdict(identification) -> str:
     """One sentence: how well the model predicts the test, and whether that is better than a linear one."""
     test, dictionary = identification.test, identification.model.dictionary
     table = identification.metrics.set_index(["prediction", "state"])["nrmse"]
@@ -65,70 +66,67 @@ def _verdict(identification):
                 f"{constant:.3g} %. Do not use the model for it; if nothing here can move it, leave it out "
                 "(STATES=...), for it disturbs the choice of the model for the others.",
             )
-    row = table.loc["model"].iloc[0]
-    if row["diverged"]:
-        kind = stop if row["diverged"] > 0.1 * row["windows"] else warning
-        count = f"{row['diverged']} of {row['windows']}"
-        yield kind("predictions ran away", f"{count} test predictions ran away; they are left out of the errors.")
+    diverged, windows = (table.loc["model"][column].iloc[0] for column in ("diverged", "windows"))
+    if diverged:
+        kind = stop if diverged > 0.1 * windows else warning
+        text = f"{diverged} of {windows} test predictions ran away; they are left out of the errors."
+        yield kind("predictions ran away", text)
 
 
 def _data(identification, log):
     for text in identification.remarks["idle"]:
         yield warning("a channel that says nothing", f"{text}.")
-    for _, row in identification.checks.channels.iterrows():
-        name, is_input, span = row["channel"], row["role"] == "input", row["highest"] - row["lowest"]
-        share = max(row["at_lowest"], row["at_highest"])
-        if share > 0:
-            value = row["highest"] if row["at_highest"] >= row["at_lowest"] else row["lowest"]
-            cure = "The sensor or a stop limits it; keep away from it"
-            if is_input:
-                cure = "Record with less, or give the command before the limit and the limit itself"
-            yield warning(
-                f"{name} saturates",
-                f"{name} stands at {value:.4g} for {100 * share:.2g} % of the samples. {cure}: "
-                "a smooth model cannot know the limit.",
-            )
-        if row["levels"] <= 10:
-            yield (note if is_input else warning)(
-                f"{name} has few values",
-                f"{name} takes only {row['levels']} different values; what happens between them is not in the data.",
-            )
-        elif row["step"] > 0.005 * span:
-            percent = f"{100 * row['step'] / span:.2g} %"
-            yield note(f"{name} is coarse", f"{name} moves in steps of {row['step']:.3g}, {percent} of its range.")
-        if row["wraps"] and not is_input:
-            yield stop(
-                f"{name} jumps by a full turn",
-                f"{name} jumps by a full turn {row['wraps']} times: an angle that wraps round. "
-                "No model can follow that; unwrap it first (numpy.unwrap, MATLAB's unwrap).",
-            )
-            continue
-        if row["noise"] > 0.02:
-            yield warning(
-                f"{name} is noisy",
-                f"The noise on {name} is {100 * row['noise']:.2g} % of its range "
-                "(what moves within four samples is counted as noise). Noise on the states biases the fit; "
-                "a better sensor or slower sampling helps more than any model.",
-            )
-        if not is_input and row["jump"] > 0.3 and row["jump"] > 5 * row["usual"]:
-            yield warning(
-                f"{name} jumps",
-                f"{name} changes by {100 * row['jump']:.0f} % of its range within one sample, but by less than "
-                f"{100 * row['usual']:.2g} % in 99 of 100: "
-                "an outlier, or a trial that begins without a column that says so.",
-            )
-        if not is_input and row["shift"] > 1:
-            yield warning(
-                f"{name} drifts",
-                f"The mean of {name} differs between the first and the second half by {row['shift']:.2g} "
-                "standard deviations: it drifts, or the halves hold different motions. "
-                "The test then asks for something that was not learnt.",
-            )
+    for row in identification.checks.channels.to_dict("records"):
+        yield from _channel(row, row["channel"], row["role"] == "input")
     if log.m == 0:
-        yield note(
-            "no inputs",
-            "There is no input: the model is of the free motion only. "
-            "If something drives the rig, name it (INPUTS=...).",
+        text = "There is no input: the model is of the free motion only."
+        yield note("no inputs", f"{text} If something drives the rig, name it (INPUTS=...).")
+
+
+def _channel(row, name, is_input):
+    share, span = max(row["at_lowest"], row["at_highest"]), row["highest"] - row["lowest"]
+    if share > 0:
+        value = row["highest"] if row["at_highest"] >= row["at_lowest"] else row["lowest"]
+        cure = "The sensor or a stop limits it; keep away from it"
+        if is_input:
+            cure = "Record with less, or give the command before the limit and the limit itself"
+        where = f"{name} stands at {value:.4g} for {100 * share:.2g} % of the samples"
+        yield warning(f"{name} saturates", f"{where}. {cure}: a smooth model cannot know the limit.")
+    if row["levels"] <= 10:
+        text = f"{name} takes only {row['levels']} different values; what happens between them is not in the data."
+        yield (note if is_input else warning)(f"{name} has few values", text)
+    elif row["step"] > 0.005 * span:
+        percent = f"{100 * row['step'] / span:.2g} %"
+        yield note(f"{name} is coarse", f"{name} moves in steps of {row['step']:.3g}, {percent} of its range.")
+    if is_input:
+        return
+    if row["wraps"]:
+        yield stop(
+            f"{name} jumps by a full turn",
+            f"{name} jumps by a full turn {row['wraps']} times: an angle that wraps round. "
+            "No model can follow that; unwrap it first (numpy.unwrap, MATLAB's unwrap).",
+        )
+        return
+    if row["noise"] > 0.02:
+        yield warning(
+            f"{name} is noisy",
+            f"The noise on {name} is {100 * row['noise']:.2g} % of its range (what moves within four samples is "
+            "counted as noise). Noise on the states biases the fit; a better sensor or slower sampling helps more "
+            "than any model.",
+        )
+    if row["jump"] > 0.3 and row["jump"] > 5 * row["usual"]:
+        yield warning(
+            f"{name} jumps",
+            f"{name} changes by {100 * row['jump']:.0f} % of its range within one sample, but by less than "
+            f"{100 * row['usual']:.2g} % in 99 of 100: an outlier, or a trial that begins without a column that says "
+            "so.",
+        )
+    if row["shift"] > 1:
+        yield warning(
+            f"{name} drifts",
+            f"The mean of {name} differs between the first and the second half by {row['shift']:.2g} standard "
+            "deviations: it drifts, or the halves hold different motions. The test then asks for something that was "
+            "not learnt.",
         )
 
 
@@ -139,31 +137,29 @@ def _excitation(identification):
         if share > 0.9:
             yield warning(
                 f"{name} follows the states",
-                f"A linear function of the present states explains {100 * share:.3g} % of {name}: "
-                "a feedback loop, or an input so slow that the states follow it. What the input does and "
-                "what the states do by themselves can hardly be told apart; add a test signal to the input.",
+                f"A linear function of the present states explains {100 * share:.3g} % of {name}: a feedback loop, or "
+                "an input so slow that the states follow it. What the input does and what the states do by themselves "
+                "can hardly be told apart; add a test signal to the input.",
             )
-    names = list(correlation)
-    for i, a in enumerate(names):
-        for b in names[i + 1 :]:
-            if abs(correlation.loc[a, b]) > 0.8:
-                yield warning(
-                    f"{a} and {b} move together",
-                    f"The correlation of {a} and {b} is {correlation.loc[a, b]:.2f}: "
-                    "their effects can hardly be told apart. Move them one by one, or by signals of their own.",
-                )
+    for a, b in itertools.combinations(correlation, 2):
+        if abs(correlation.loc[a, b]) > 0.8:
+            yield warning(
+                f"{a} and {b} move together",
+                f"The correlation of {a} and {b} is {correlation.loc[a, b]:.2f}: their effects can hardly be told "
+                "apart. Move them one by one, or by signals of their own.",
+            )
     if facts["rank"] < facts["channels"] or facts["condition"] > 300:
         yield warning(
             "too little excitation",
-            f"Constant, states and inputs (scaled) have a condition number of {facts['condition']:.3g}: "
-            "some combination of channels hardly moves. The model says nothing reliable about it.",
+            f"Constant, states and inputs (scaled) have a condition number of {facts['condition']:.3g}: some "
+            "combination of channels hardly moves. The model says nothing reliable about it.",
         )
     if facts["order"] is not None and facts["order"] < min(n + 1, 20):
         yield warning(
             "too little excitation",
-            f"The inputs are persistently exciting of order {facts['order']} "
-            f"(lags of {facts['lag'] * facts['dt']:.3g} s), a linear model of {n} states asks for {n + 1}. "
-            "Use a signal with more frequencies or more steps.",
+            f"The inputs are persistently exciting of order {facts['order']} (lags of "
+            f"{facts['lag'] * facts['dt']:.3g} s), a linear model of {n} states asks for {n + 1}. Use a signal with "
+            "more frequencies or more steps.",
         )
     functions = len(identification.model.names_)
     if train.pairs < 10 * functions:
@@ -177,44 +173,40 @@ def _model(identification):
     table, model, recording = identification.eigenvalues, identification.model, identification.recording
     table = table[table["model"] == "model"]
     # One exactly belongs to the constant, and to functions of inputs alone.
-    moving = table[np.hypot(table["real"] - 1, table["imag"]) > 1e-6]
-    fastest = moving["modulus"].max() if len(moving) else 0.0
+    moving = table.loc[np.hypot(table["real"] - 1, table["imag"]) > 1e-6, "modulus"]
+    fastest = moving.max() if len(moving) else 0.0
     duration = float((recording.lengths.max() - 1) * recording.dt)
     if fastest > 1 + recording.dt / duration:
         doubling = recording.dt * math.log(2) / math.log(fastest)
-        about = (
-            f"The largest modulus of an eigenvalue is {fastest:.6f}: "
-            f"something in the lifted system doubles every {doubling:.3g} s."
+        weight, cure = warning, "Trust predictions no longer than they were tested."
+        if model.predictor != "lifted_linear":
+            weight, cure = note, "Predictions lift the states anew and need not grow with it, but the powers of K do: "
+            cure += "the functions are not closed under the dynamics."
+        yield weight(
+            "an unstable operator",
+            f"The largest modulus of an eigenvalue is {fastest:.6f}: something in the lifted system doubles every "
+            f"{doubling:.3g} s. {cure}",
         )
-        if model.predictor == "lifted_linear":
-            yield warning("an unstable operator", f"{about} Trust predictions no longer than they were tested.")
-        else:
-            yield note(
-                "an unstable operator",
-                f"{about} Predictions lift the states anew and need not grow with it, but the powers of K do: "
-                "the functions are not closed under the dynamics.",
-            )
-    slow = moving[np.abs(moving["modulus"] - 1) < recording.dt / duration]
-    if len(slow):
+    slow = (abs(moving - 1) < recording.dt / duration).sum()
+    if slow:
         yield note(
             "near-unit eigenvalues",
-            f"{len(slow)} eigenvalues have a modulus so near to one that they would change by "
-            f"less than a factor e over the longest trajectory ({duration:.3g} s). "
-            "How such parts go on in the long run is not in the data.",
+            f"{slow} eigenvalues have a modulus so near to one that they would change by less than a factor e over the "
+            f"longest trajectory ({duration:.3g} s). How such parts go on in the long run is not in the data.",
         )
     if identification.remarks["treatment"] == "smoothed":
         level = noise_level(recording) / np.ptp(np.concatenate([x for x, _ in recording]), axis=0)
         yield note(
             "smoothed states",
-            "The states were smoothed before the fit, and test predictions start from smoothed states "
-            f"(noise {100 * level.max():.2g} % of the range at most). "
-            "The table also has predictions that start from states as measured.",
+            "The states were smoothed before the fit, and test predictions start from smoothed states (noise "
+            f"{100 * level.max():.2g} % of the range at most). The table also has predictions that start from states "
+            "as measured.",
         )
     if model.condition_number > 1e10:
         yield warning(
             "ill-conditioned",
-            f"The condition number of the liftings is {model.condition_number:.2g}: "
-            "coefficients mean little by themselves, predictions may still be good.",
+            f"The condition number of the liftings is {model.condition_number:.2g}: coefficients mean little by "
+            "themselves, predictions may still be good.",
         )
 
 

@@ -3,16 +3,22 @@
 B. Efron, Ann. Statist. 7, 1979, 1. Whole trajectories are drawn, because neighbouring samples are not independent.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from sklearn.base import clone
 
 from tras import metrics
-from tras.recording import join
+from tras.model import KoopmanModel
+from tras.recording import Recording, join
 from tras.workflow import arguments
 from tras.workflow.study import each
 
 
-def bootstrap(model, recording, draws=100, rng=0, *, processes=1):
+def bootstrap(
+    model: KoopmanModel, recording: Recording, draws: int = 100, rng: np.random.Generator | int = 0,
+    *, processes: int = 1,
+) -> list[KoopmanModel]:  # fmt: skip
     """The model fitted to resampled recordings: an ensemble whose spread is that of the fit.
 
     Parameters
@@ -54,7 +60,8 @@ def bootstrap(model, recording, draws=100, rng=0, *, processes=1):
     model.require_fitted()
     if len(recording) < 10:
         raise ValueError(
-            f"recording has {len(recording)} trajectories, and a bootstrap draws among ten or more; cut it into pieces with recording.cut(samples)."
+            f"recording has {len(recording)} trajectories, and a bootstrap draws among ten or more; "
+            "cut it into pieces with recording.cut(samples)."
         )
     arguments.whole_number("draws", draws, 2)
     arguments.seed("rng", rng, "the ensemble")
@@ -63,7 +70,7 @@ def bootstrap(model, recording, draws=100, rng=0, *, processes=1):
     return each(_member, enumerate(indices), (unfitted, recording), title="bootstrap", processes=processes)
 
 
-def prediction_band(ensemble, recording, level=0.9):
+def prediction_band(ensemble: Sequence[KoopmanModel], recording: Recording, level: float = 0.9) -> tuple:
     """The band of the ensemble's predictions: each trajectory rolled out from its first state under its inputs.
 
     It shows how uncertain the prediction is because the data were few or noisy. It contains neither the noise of a
@@ -102,9 +109,8 @@ def prediction_band(ensemble, recording, level=0.9):
             values[k, ~np.isfinite(values[k])] = side
         # By order statistics: an interpolation would mix infinite members with finite ones.
         bands.append(np.quantile(values, [(1 - level) / 2, 0.5, (1 + level) / 2], axis=0, method="inverted_cdf"))
-    parts = list(zip(*bands))
     alike = len(set(recording.lengths)) == 1
-    return tuple(np.stack(part) if alike else list(part) for part in parts)
+    return tuple(np.stack(part) if alike else list(part) for part in zip(*bands))
 
 
 def _member(model, recording, number, index):

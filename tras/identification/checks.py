@@ -1,4 +1,4 @@
-"""Facts about a recording before any model: saturation, noise, excitation, feedback; `tras.identification.advice` judges them."""
+"""Facts about a recording before any model: saturation, noise, excitation, feedback; `advice` judges them."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,7 @@ import pandas as pd
 from scipy import signal
 
 from tras.identification.noise import noise_level
-from tras.recording import join
+from tras.recording import Recording, join
 
 _FEW_LEVELS = 10  # a channel with so few values is a switch, not at its limits
 _ORDER = 20  # of persistent excitation, at most
@@ -16,38 +16,29 @@ _ROWS = 50_000  # samples of a regression, at most
 
 
 class Checks(NamedTuple):
-    """Tables, and single numbers in ``facts``; see `check`."""
+    """Tables, and single numbers in ``facts``."""
 
-    channels: pd.DataFrame
-    correlation: pd.DataFrame
-    spectrum: pd.DataFrame
-    facts: dict
+    channels: pd.DataFrame  # see `channels`
+    correlation: pd.DataFrame  # between inputs
+    spectrum: pd.DataFrame  # see `spectrum`
+    facts: dict  # see `check`
 
 
-def check(recording, lag=1):
+def check(recording: Recording, lag: int = 1) -> Checks:
     """All checks of this module, for one recording.
 
-    Parameters
-    ----------
-    recording : Recording
-    lag : int
-        Samples between the rows of the Hankel matrix: about a quarter of the time within which the states move.
-
-    Returns
-    -------
-    Checks
-        ``channels``: see `channels`. ``correlation``: coefficients between inputs. ``spectrum``: see `spectrum`.
-        ``facts``: ``trajectories, samples, pairs, dt, seconds, rank, condition`` (of constant, states and inputs,
-        scaled), ``order`` (persistency of excitation, None without inputs), ``feedback`` (input -> R squared of a
-        linear function of the states).
+    ``lag`` is in samples, about a quarter of the time within which the states move: see `excitation_order`. Of the
+    ``facts``, ``rank`` and ``condition`` are those of constant, states and inputs, scaled; ``order`` (None without
+    inputs) and ``feedback`` those of `excitation_order` and `feedback`.
     """
     recording = join(recording)
     x, u = (np.concatenate(part) for part in zip(*recording))
     every = max(1, len(x) // _ROWS)
     rank, condition = _rank(np.hstack([x, u])[::every])
+    lengths, dt = recording.lengths, recording.dt
     facts = {
-        "trajectories": len(recording), "samples": int(recording.lengths.sum()), "pairs": recording.pairs, "dt": recording.dt,
-        "shortest": int(recording.lengths.min()), "longest": int(recording.lengths.max()), "seconds": float((recording.lengths - 1).sum() * recording.dt),
+        "trajectories": len(recording), "samples": int(lengths.sum()), "pairs": recording.pairs, "dt": dt,
+        "shortest": int(lengths.min()), "longest": int(lengths.max()), "seconds": float((lengths - 1).sum() * dt),
         "channels": 1 + recording.n + recording.m, "rank": rank, "condition": condition, "lag": lag,
         "order": excitation_order(recording, lag), "feedback": feedback(recording),
     }  # fmt: skip
@@ -56,18 +47,14 @@ def check(recording, lag=1):
     return Checks(channels(recording), pd.DataFrame(correlation, names, names), spectrum(recording), facts)
 
 
-def channels(recording):
-    """One row per channel.
+def channels(recording: Recording) -> pd.DataFrame:
+    """One row per channel: ``channel, role, unit, lowest, highest, mean, deviation``, and more.
 
-    Returns
-    -------
-    pandas.DataFrame
-        ``channel, role, unit, lowest, highest, mean, deviation``; ``levels``, the number of different values, and
-        ``step``, the usual distance between neighbouring ones (0 if there are too many to be levels); ``at_lowest,
-        at_highest``, the share of samples that stand at a limit (0 where an extreme is just an extreme); ``noise``, a
-        fraction of the range (NaN for inputs); ``jump``, the largest change over a sample as a fraction of the range,
-        and ``usual``, the 99th percentile of the same; ``wraps``, how often it jumps by a full turn (360 or 2 pi);
-        ``shift``, the difference of the means of first and second half in deviations.
+    ``levels``, the number of different values, and ``step``, the usual distance between neighbouring ones (0 if there
+    are too many to be levels); ``at_lowest, at_highest``, the share of samples that stand at a limit (0 where an
+    extreme is just an extreme); ``noise``, a fraction of the range (NaN for inputs); ``jump``, the largest change over
+    a sample as a fraction of the range, and ``usual``, the 99th percentile of the same; ``wraps``, how often it jumps
+    by a full turn (360 or 2 pi); ``shift``, the difference of the means of first and second half in deviations.
     """
     level = noise_level(recording) if recording.lengths.max() >= 4 else np.full(recording.n, np.nan)
     x, u = (np.concatenate(part) for part in zip(*recording))
@@ -83,8 +70,9 @@ def channels(recording):
         changes = np.abs(np.diff(values))[within[1:]] / span if len(values) > 1 else np.zeros(1)
         half = len(values) // 2
         rows.append({
-            "channel": name, "role": "state" if i < recording.n else "input", "unit": unit, "lowest": low, "highest": high, "mean": values.mean(),
-            "deviation": values.std(), "levels": len(levels), "step": float(np.median(np.diff(levels))) if few else 0.0,
+            "channel": name, "role": "state" if i < recording.n else "input", "unit": unit,
+            "lowest": low, "highest": high, "mean": values.mean(), "deviation": values.std(),
+            "levels": len(levels), "step": float(np.median(np.diff(levels))) if few else 0.0,
             "at_lowest": _at_limit(-values, -levels[::-1]), "at_highest": _at_limit(values, levels),
             "noise": level[i] / span if i < recording.n else np.nan,
             "jump": changes.max(initial=0.0), "usual": float(np.quantile(changes, 0.99)) if len(changes) else 0.0,
@@ -94,8 +82,8 @@ def channels(recording):
     return pd.DataFrame(rows)
 
 
-def excitation_order(recording, lag=1):
-    """The order, up to 20, of persistent excitation: the greatest depth at which the inputs' Hankel matrix has full rank.
+def excitation_order(recording: Recording, lag: int = 1) -> int | None:
+    """The order, up to 20, of persistent excitation: the greatest depth of a Hankel matrix of inputs with full rank.
 
     J. C. Willems et al., Syst. Control Lett. 54, 2005, 325. Rows are ``lag`` samples apart, because neighbouring
     samples are nearly the same; the rank is full if the smallest singular value is at least a thousandth of the
@@ -106,12 +94,11 @@ def excitation_order(recording, lag=1):
     every = max(1, int(recording.lengths.sum()) // 5_000)
     for order in range(1, _ORDER + 1):
         reach = (order - 1) * lag
-        blocks = [
-            np.hstack([u[k * lag : len(u) - reach + k * lag : every] for k in range(order)])
-            for _, u in recording
-            if len(u) > reach
-        ]
-        rows = np.concatenate(blocks) if blocks else np.empty((0, order * recording.m))
+        rows = [np.empty((0, order * recording.m))]
+        for _, u in recording:
+            if len(u) > reach:
+                rows.append(np.hstack([u[k * lag : len(u) - reach + k * lag : every] for k in range(order)]))
+        rows = np.concatenate(rows)
         if len(rows) <= order * recording.m:
             return order - 1
         rows = rows - rows.mean(axis=0)
@@ -122,14 +109,13 @@ def excitation_order(recording, lag=1):
     return _ORDER
 
 
-def feedback(recording):
+def feedback(recording: Recording) -> dict[str, float]:
     """Input -> share of its variance that a linear function of the present states explains (R squared)."""
     x, u = (np.concatenate(part) for part in zip(*recording))
     every = max(1, len(x) // _ROWS)
     x, u = x[::every], u[::every]
-    regressors = np.hstack(
-        [np.ones((len(x), 1)), (x - x.mean(axis=0)) / np.where(x.std(axis=0) > 0, x.std(axis=0), 1.0)]
-    )
+    deviation = np.where(x.std(axis=0) > 0, x.std(axis=0), 1.0)
+    regressors = np.hstack([np.ones((len(x), 1)), (x - x.mean(axis=0)) / deviation])
     shares = {}
     for name, values in zip(recording.input_names, u.T):
         values = values - values.mean()
@@ -139,7 +125,7 @@ def feedback(recording):
     return shares
 
 
-def spectrum(recording):
+def spectrum(recording: Recording) -> pd.DataFrame:
     """Share of variance per Hz, by Welch's method over all trajectories: ``frequency`` (Hz), one column per channel.
 
     Means are removed, so there is no row for zero frequency.
@@ -149,9 +135,7 @@ def spectrum(recording):
     total, weight = 0.0, 0
     for x, u in recording:
         if len(x) >= length >= 8:
-            frequency, density = signal.welch(
-                np.hstack([x, u]), 1 / recording.dt, nperseg=length, detrend="constant", axis=0
-            )
+            frequency, density = signal.welch(np.hstack([x, u]), 1 / recording.dt, nperseg=length, axis=0)
             total, weight = total + len(x) * density, weight + len(x)
     if not weight:
         return pd.DataFrame(columns=["frequency", *names], dtype=float)
@@ -161,7 +145,7 @@ def spectrum(recording):
     return table
 
 
-def beyond(train, test):
+def beyond(train: Recording, test: Recording) -> dict[str, float]:
     """Channel -> share of the test's samples outside the range of the training data."""
     shares = {}
     for a, b, names in zip(zip(*train), zip(*test), (train.state_names, train.input_names)):
@@ -172,7 +156,7 @@ def beyond(train, test):
 
 
 def _at_limit(values, levels):
-    """The share of samples at the highest value if it is a limit: 1 % or more, in three stays, far more than below it."""
+    """The share of samples at the highest value if it is a limit: 1 %, in three stays, far more than below it."""
     at = values == levels[-1]
     share = at.mean()
     if len(levels) <= _FEW_LEVELS or share < 0.01 or np.sum(np.diff(at.astype(int)) > 0) + at[0] < 3:
@@ -196,6 +180,5 @@ def _rank(channels):
     half = np.where(high > low, (high - low) / 2, 1.0)
     scaled = np.hstack([np.ones((len(channels), 1)), (channels - (high + low) / 2) / half])
     singular = np.linalg.svd(scaled, compute_uv=False)
-    return int((singular > _SMALL * singular[0]).sum()), float(singular[0] / singular[-1]) if singular[
-        -1
-    ] > 0 else float("inf")
+    condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
+    return int((singular > _SMALL * singular[0]).sum()), condition

@@ -1,7 +1,6 @@
 """From a recording to a model: ``make identify RECORDING=path``.
 
-    python -m tras.identification.command log.csv [--out FOLDER] [--roles roles.yaml] [--predictor one_step] [--delays 0 2 4]
-    ...
+    python -m tras.identification.command log.csv [--out FOLDER] [--roles roles.yaml] [--delays 0,2,4] ...
 
 Runs ``notebooks/identify.ipynb`` on the recording and writes to ``build/identify/NAME``, NAME being the recording's
 name: ``report.html``, the executed notebook, the model, its exports, tables and figures. If the recording cannot be
@@ -24,7 +23,7 @@ from tras.workflow.runner import Interrupted, RunError, interruptible, run_noteb
 _SENTENCES = ("RecordingError", "ValueError", "LogarithmError", "FileNotFoundError")
 
 
-def main(arguments=None):
+def main(arguments: list[str] | None = None) -> int:
     """Command line; returns 0, 1 (the run failed), 2 (the recording or the call is wrong), 130 or 143 (interrupted)."""
     options = _parser().parse_args(arguments)
     root = project_root(Path(__file__).parent)
@@ -46,7 +45,7 @@ def main(arguments=None):
     except Interrupted as interrupt:
         print("identify was interrupted; no results were written.", file=sys.stderr)
         return 128 + interrupt.args[0]
-    print(f"{_relative(out)}/report.html  {seconds:.0f} s")
+    print(f"{_inside(out, Path.cwd())}/report.html  {seconds:.0f} s")
     return 0
 
 
@@ -77,19 +76,11 @@ def _parser():
     add("--trial", default="", help="the column that tells trials apart")
     add("--dt", type=float, default=0.0, help="sampling time in s, without a column of time")
     add("--resample", type=float, default=0.0, help="new sampling time in s, for uneven times")
-    add(
-        "--predictor",
-        default="",
-        choices=["", "vector_field", "one_step", "lifted_linear"],
-        help="the only predictor to try",
-    )
+    predictors = ["", "vector_field", "one_step", "lifted_linear"]
+    add("--predictor", default="", choices=predictors, help="the only predictor to try")
     add("--delays", type=_numbers, default=[], help="the only numbers of delays to try, separated by commas")
-    add(
-        "--smoothing",
-        default="",
-        choices=["", "yes", "no"],
-        help="smooth the states before the fit (default: both are tried if they are noisy)",
-    )
+    smoothing = "smooth the states before the fit (default: both are tried if they are noisy)"
+    add("--smoothing", default="", choices=["", "yes", "no"], help=smoothing)
     add("--draws", type=int, default=30, help="members of the bootstrap, 0 for no band")
     return parser
 
@@ -116,24 +107,21 @@ def _parameters(options, out, root):
     """The notebook's parameters; obvious mistakes are reported before a kernel starts."""
     for path, what in ((options.recording, "RECORDING"), (options.roles, "ROLES")):
         if path is not None and not path.is_file():
-            raise ParameterError(
-                f"{what}: {path} {'is a folder' if path.is_dir() else 'does not exist'}; give the path of a file."
-            )
+            fault = "is a folder" if path.is_dir() else "does not exist"
+            raise ParameterError(f"{what}: {path} {fault}; give the path of a file.")
     if options.recording.suffix not in SUFFIXES:
-        raise ParameterError(
-            f"RECORDING: {options.recording} ends in {options.recording.suffix!r}; recordings are .csv, .parquet, .mat or .nc files."
-        )
+        fault = f"{options.recording} ends in {options.recording.suffix!r}"
+        raise ParameterError(f"RECORDING: {fault}; recordings are .csv, .parquet, .mat or .nc files.")
     if out.exists() and not out.is_dir():
         raise ParameterError(f"OUT: {out} is a file; give a folder.")
-    parameters = {
-        "recording": _inside(options.recording, root), "out_dir": _inside(out, root), "roles": _inside(options.roles, root) if options.roles else "",
-        **{name: getattr(options, name) for name in ("states", "inputs", "time", "trial", "dt", "resample", "predictor", "delays", "smoothing", "draws")},
-    }  # fmt: skip
+    paths = {"recording": options.recording, "out_dir": out, "roles": options.roles}
+    parameters = vars(options) | {name: _inside(path, root) if path else "" for name, path in paths.items()}
+    del parameters["out"]
     return check_parameters(parameters, notebook_defaults(root / "notebooks" / "identify.ipynb"), "the command line")
 
 
 def _inside(path, root):
-    """The path relative to the project's folder if it lies inside, else the absolute one."""
+    """The path relative to a folder if it lies inside, else the absolute one."""
     path = path.resolve()
     return path.relative_to(root).as_posix() if path.is_relative_to(root) else str(path)
 
@@ -156,12 +144,6 @@ def _run(notebook, out, parameters):
     finally:
         shutil.rmtree(aside, ignore_errors=True)
     return seconds
-
-
-def _relative(path):
-    """The path relative to the working folder if it lies inside."""
-    path = path.resolve()
-    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
 if __name__ == "__main__":

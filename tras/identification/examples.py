@@ -2,8 +2,7 @@
 
     python -m tras.identification.examples duffing build/example/duffing.csv
 
-The systems are integrated so exactly that all errors are the model's. Their sensors then have noise and the steps of an
-encoder, as real ones do.
+The systems are integrated so exactly that all errors are the model's. Their sensors have noise and an encoder's steps.
 """
 
 import argparse
@@ -20,13 +19,13 @@ from tras.workflow.files import replacing
 _SUBSTEPS = 20  # per sample: only rounding errors are left
 
 
-def duffing(point):
+def duffing(point: np.ndarray) -> np.ndarray:
     """A mass on a hardening spring, ``q'' = force - 0.4 q' - q - 2 q^3``; rows q (m), q' (m/s), force (N)."""
     q, v, force = point
     return np.stack([v, force - 0.4 * v - q - 2 * q**3])
 
 
-def cart_pole(point):
+def cart_pole(point: np.ndarray) -> np.ndarray:
     """A pole hanging from a cart on a spring; rows s (m), s' (m/s), theta (rad, 0 hanging), theta' (rad/s), force (N).
 
     Cart 1 kg with 0.8 N s/m and 4 N/m, pole 0.3 kg at 0.5 m with 0.02 N m s/rad, gravity 9.81 m/s^2.
@@ -39,22 +38,15 @@ def cart_pole(point):
     return np.stack([v, acceleration, omega, (turned - acceleration * cosine) / 0.5])
 
 
-# Vector field, units of states and input, sampling time (s), highest frequency (rad/s) and peak of the input, noise.
+_CART_POLE = {"position": "m", "velocity": "m/s", "theta": "rad", "thetadot": "rad/s"}
+# Vector field, units of the states, noise, sampling time (s), highest frequency (rad/s) and peak (N) of the force.
 SYSTEMS = {
-    "duffing": (duffing, {"q": "m", "qdot": "m/s"}, {"force": "N"}, 0.05, 3.0, 2.5, (0.001, 0.004)),
-    "cart_pole": (
-        cart_pole,
-        {"position": "m", "velocity": "m/s", "theta": "rad", "thetadot": "rad/s"},
-        {"force": "N"},
-        0.02,
-        6.0,
-        5.0,
-        (0.001, 0.01, 0.002, 0.02),
-    ),
+    "duffing": (duffing, {"q": "m", "qdot": "m/s"}, (0.001, 0.004), 0.05, 3.0, 2.5),
+    "cart_pole": (cart_pole, _CART_POLE, (0.001, 0.01, 0.002, 0.02), 0.02, 6.0, 5.0),
 }
 
 
-def example(name, trials=8, duration=25.0, *, seed=0, noise=1.0):
+def example(name: str, trials: int = 8, duration: float = 25.0, *, seed: int = 0, noise: float = 1.0) -> Recording:
     """A recording of one of `SYSTEMS` under multisines, from rest, its states as sensors see them.
 
     Parameters
@@ -81,45 +73,35 @@ def example(name, trials=8, duration=25.0, *, seed=0, noise=1.0):
     """
     if name not in SYSTEMS:
         raise ValueError(f"name is {name!r}; choose one of {', '.join(SYSTEMS)}.")
-    field, states, inputs, dt, fastest, peak, deviations = SYSTEMS[name]
+    field, units, deviations, dt, fastest, peak = SYSTEMS[name]
     rng = np.random.default_rng(seed)
     u = np.stack([multisine(duration, dt, [fastest], [peak], rng, draws=20) for _ in range(trials)])
-    x = rollout.roll_out(
-        lambda z, v: rollout.runge_kutta(field, z, v, dt, _SUBSTEPS),
-        np.zeros((len(states), trials)),
-        u.transpose(1, 2, 0),
-    )
+    starts, inputs = np.zeros((len(units), trials)), u.transpose(1, 2, 0)
+    x = rollout.roll_out(lambda z, v: rollout.runge_kutta(field, z, v, dt, _SUBSTEPS), starts, inputs)
     x = x.transpose(2, 0, 1)
     if noise:
         x = x + noise * np.array(deviations) * rng.standard_normal(x.shape)
         step = noise * deviations[0] / 2
         x[..., 0] = np.round(x[..., 0] / step) * step
-    labels = {
-        "state_names": list(states),
-        "state_units": list(states.values()),
-        "input_names": list(inputs),
-        "input_units": list(inputs.values()),
-    }
-    return Recording(x, u, dt, **labels, attributes={"system": name, "seed": seed})
+    return Recording(
+        x, u, dt, state_names=list(units), state_units=list(units.values()), input_names=["force"], input_units=["N"],
+        attributes={"system": name, "seed": seed},
+    )  # fmt: skip
 
 
-def write_log(recording, path):
+def write_log(recording: Recording, path: Path) -> None:
     """Write a CSV as a logger would: names with units in brackets, a column that counts the trials, six digits."""
-    units = dict(
-        zip((*recording.state_names, *recording.input_names), (*recording.state_units, *recording.input_units)),
-        time="s",
-    )
-    table = recording.to_frame().rename(columns={"trajectory": "trial"})
-    table = table.rename(columns={name: f"{name} [{unit}]" for name, unit in units.items() if unit})
+    names = ("time", *recording.state_names, *recording.input_names)
+    units = ("s", *recording.state_units, *recording.input_units)
+    labels = {name: f"{name} [{unit}]" for name, unit in zip(names, units) if unit}
+    table = recording.to_frame().rename(columns={"trajectory": "trial"} | labels)
     with replacing(path) as temporary:
         table.to_csv(temporary, index=False, float_format="%.6g", lineterminator="\n")
 
 
-def main(arguments=None):
+def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tras.identification.examples", description="Write a recording to try make identify on."
-    )
+    parser = argparse.ArgumentParser("python -m tras.identification.examples", description="Write an example.")
     parser.add_argument("system", choices=sorted(SYSTEMS))
     parser.add_argument("path", type=Path, help="where the CSV goes")
     options = parser.parse_args(arguments)

@@ -1,6 +1,8 @@
 """Figures of an identification, for any channels: each takes a table and returns a `Figure`."""
 
 import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
 
 from tras.identification.scores import CONSTANT, HELD
 from tras.plotting import LINEAR, MODEL, TRUTH, new_figure, require, styled
@@ -15,15 +17,11 @@ def _with_units(names, units):
 
 
 @styled()
-def data_figure(table, names, units):
+def data_figure(table: pd.DataFrame, names: list[str], units: list[str]) -> Figure:
     """The recording: every channel over time, trajectories one after the other, their beginnings marked.
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        ``trajectory, time`` (s, from the recording's beginning) and one column per channel.
-    names, units : list of str
-        Channels to show, at most six of them.
+    The table has ``trajectory, time`` (s, from the recording's beginning) and one column per channel; at most six
+    channels are shown.
     """
     require(table, "table", ["trajectory", "time", *names])
     names, units = names[:MOST], units[:MOST]
@@ -39,14 +37,10 @@ def data_figure(table, names, units):
 
 
 @styled()
-def spectra_figure(table, states, inputs):
+def spectra_figure(table: pd.DataFrame, states: list[str], inputs: list[str]) -> Figure:
     """Where in frequency inputs and states move: share of variance per Hz.
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        ``frequency`` (Hz) and one column per channel.
-    states, inputs : list of str
+    The table has ``frequency`` (Hz) and one column per channel.
     """
     require(table, "table", ["frequency", *states, *inputs])
     groups = [(title, names) for title, names in (("inputs", inputs[:MOST]), ("states", states[:MOST])) if names]
@@ -64,53 +58,28 @@ def spectra_figure(table, states, inputs):
 
 
 @styled()
-def prediction_figure(table, states, units):
+def prediction_figure(table: pd.DataFrame, states: list[str], units: list[str]) -> Figure:
     """The measured states, the model and the linear model over two test windows, with the band of the bootstrap.
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        ``window, time`` (s) and, for each state, ``STATE: true, model, linear model, lower, upper``.
-    states, units : list of str
-        At most six states are shown.
+    The table has ``window, time`` (s) and, per state, ``STATE: true, model, linear model, lower, upper``. At most six
+    states are shown.
     """
-    require(
-        table,
-        "table",
-        [
-            "window",
-            "time",
-            *(f"{state}: {kind}" for state in states for kind in ("true", "model", "linear model", "lower", "upper")),
-        ],
-    )
+    kinds = ("true", "model", "linear model", "lower", "upper")
+    require(table, "table", ["window", "time", *(f"{state}: {kind}" for state in states for kind in kinds)])
     states, windows = states[:MOST], list(dict.fromkeys(table["window"]))
-    figure, axes = new_figure(
-        height=1.0 * len(states) + 0.75,
-        rows=len(states),
-        columns=len(windows),
-        sharey="row",
-        sharex="col",
-        squeeze=False,
-    )
+    size = {"height": 1.0 * len(states) + 0.75, "rows": len(states), "columns": len(windows)}
+    figure, axes = new_figure(**size, sharey="row", sharex="col", squeeze=False)
     for row, state, label in zip(axes, states, _with_units(states, units)):
         for panel, name in zip(row, windows):
             part = table[table["window"] == name]
-            true, low, high = part[f"{state}: true"], part[f"{state}: lower"], part[f"{state}: upper"]
+            time, (true, model, linear, low, high) = part["time"], [part[f"{state}: {kind}"] for kind in kinds]
             reach = 1.5 * max(true.max() - true.min(), 1e-300)
             inside = (true.min() - reach, true.max() + reach)
             if low.notna().any():
-                panel.fill_between(
-                    part["time"], low.clip(*inside), high.clip(*inside), **_BAND, label="90 % of a bootstrap"
-                )
-            panel.plot(part["time"], true, **TRUTH, label="measured", zorder=3)
-            panel.plot(
-                part["time"],
-                part[f"{state}: model"].where(part[f"{state}: model"].between(*inside)),
-                **MODEL,
-                label="model",
-            )
-            linear = part[f"{state}: linear model"]
-            panel.plot(part["time"], linear.where(linear.between(*inside)), **LINEAR, label="linear model")
+                panel.fill_between(time, low.clip(*inside), high.clip(*inside), **_BAND, label="90 % of a bootstrap")
+            panel.plot(time, true, **TRUTH, label="measured", zorder=3)
+            panel.plot(time, model.where(model.between(*inside)), **MODEL, label="model")
+            panel.plot(time, linear.where(linear.between(*inside)), **LINEAR, label="linear model")
         row[0].set_ylabel(label)
     for panel, name in zip(axes[0], windows):
         panel.set_title(f"{name} window", fontsize=8, pad=3)
@@ -121,19 +90,19 @@ def prediction_figure(table, states, units):
 
 
 @styled()
-def growth_figure(table):
+def growth_figure(table: pd.DataFrame) -> Figure:
     """Error against the time ahead, over all states and test windows.
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        ``time`` (s) and one column per prediction, in percent of the range.
+    The table has ``time`` (s) and one column per prediction, in percent of the range.
     """
     require(table, "table", ["time"])
     figure, panel = new_figure(height=2.3)
     every = max(1, len(table) // _POINTS)
-    styles = {"model": MODEL, "linear model": LINEAR, "model, started as measured": {"color": "#009E73", "linestyle": "-."},
-              HELD: {"color": "0.45", "linestyle": "--", "linewidth": 0.8}, CONSTANT: {"color": "0.65", "linestyle": "-", "linewidth": 0.8}}  # fmt: skip
+    styles = {
+        "model": MODEL, "linear model": LINEAR, "model, started as measured": {"color": "#009E73", "linestyle": "-."},
+        HELD: {"color": "0.45", "linestyle": "--", "linewidth": 0.8},
+        CONSTANT: {"color": "0.65", "linestyle": "-", "linewidth": 0.8},
+    }  # fmt: skip
     for name in table.columns[1:]:
         if table[name].notna().any():
             panel.semilogy(table["time"][::every], np.maximum(table[name][::every], 1e-9), label=name, **styles[name])
@@ -144,13 +113,10 @@ def growth_figure(table):
 
 
 @styled()
-def eigenvalue_figure(table):
+def eigenvalue_figure(table: pd.DataFrame) -> Figure:
     """Eigenvalues of the Koopman matrices of both models with the unit circle, whole and near one.
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        ``model`` ("model" or "linear model"), ``real, imag``.
+    The table has ``model`` ("model" or "linear model"), ``real, imag``.
     """
     require(table, "table", ["model", "real", "imag"])
     figure, (whole, near) = new_figure(height=2.35, columns=2, sharex=False)

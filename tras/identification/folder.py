@@ -9,11 +9,12 @@ import numpy as np
 import pandas as pd
 
 from tras.export.c import to_c
-from tras.export.common import identifier, to_statespace
+from tras.export.common import to_statespace
 from tras.export.equations import formulas
 from tras.export.matlab import to_matlab
-from tras.identification import figures as figures_identify
+from tras.identification import figures
 from tras.identification.examples import example
+from tras.identification.identification import Identification
 from tras.identification.page import write_page
 from tras.plotting import save_figure
 from tras.recording import Recording
@@ -25,8 +26,8 @@ _CURVE = 3000  # samples of the recording that the figure shows
 _READABLE = 300  # functions; of more no formulas are written
 
 
-def open_log(path="", *, roles=None, states=None, inputs=None, time="", trial="", dt=None, resample=None):
-    """Read a recording, its roles by name or by a YAML file; without a path take the example of `tras.identification.examples`.
+def open_log(path="", *, roles=None, states=None, inputs=None, time="", trial="", dt=None, resample=None) -> Recording:
+    """Read a recording, its roles by name or by a YAML file; without a path take the `example` "duffing".
 
     A .nc file knows its roles: ``states`` and ``inputs`` then choose among them.
 
@@ -37,23 +38,22 @@ def open_log(path="", *, roles=None, states=None, inputs=None, time="", trial=""
     """
     if not path:
         return example("duffing")
+    sampling = {"dt": dt or None, "resample": resample or None}
     if Path(path).suffix == ".nc":
-        return Recording.read(path, roles or None, dt=dt or None, resample=resample or None).select(
-            states=states or None, inputs=inputs or None
-        )
+        return Recording.read(path, roles or None, **sampling).select(states=states or None, inputs=inputs or None)
     by_name = {"states": states, "inputs": inputs, "time": time, "trial": trial}
     by_name = {role: columns for role, columns in by_name.items() if columns}
     if roles and by_name:
         raise ValueError(f"roles are given by {roles} and by name ({', '.join(by_name)}); give them in one way.")
-    return Recording.read(path, roles or by_name or None, dt=dt or None, resample=resample or None)
+    return Recording.read(path, roles or by_name or None, **sampling)
 
 
-def write(identification, log, name, folder):
+def write(identification: Identification, log: Recording, name: str, folder: str | Path) -> pd.DataFrame:
     """Write the whole folder of an identification, or nothing.
 
     Parameters
     ----------
-    identification : tras.identification.identification.Identification
+    identification : Identification
     log : Recording
         As read.
     name : str
@@ -89,15 +89,18 @@ def _write_all(identification, log, name, stage):
     pictures = _figures(identification, stage / "figures")
     tables = _tables(identification)
     for key, (_, table) in tables.items():
-        table.to_csv(
-            stage / "tables" / f"{key}.csv", index=key == "correlation", float_format="%.10g", lineterminator="\n"
-        )
+        path = stage / "tables" / f"{key}.csv"
+        table.to_csv(path, index=key == "correlation", float_format="%.10g", lineterminator="\n")
     identification.model.save(stage / "model.npz")
     exports, failures = _exports(identification, stage)
     contents = [
-        ("report.html", "this page"), ("identify.ipynb", "the notebook that made it all, executed"), ("model.npz", "the model, for tras.load_model"), *exports,
-        *((f"tables/{key}.csv", what) for key, (what, _) in tables.items()), ("figures/", "every figure as PDF, SVG and PNG, and its numbers as CSV"),
-    ]  # fmt: skip
+        ("report.html", "this page"),
+        ("identify.ipynb", "the notebook that made it all, executed"),
+        ("model.npz", "the model, for tras.load_model"),
+        *exports,
+        *((f"tables/{key}.csv", what) for key, (what, _) in tables.items()),
+        ("figures/", "every figure as PDF, SVG and PNG, and its numbers as CSV"),
+    ]
     text = stage / "export" / "formulas.txt"
     equations = text.read_text(encoding="utf-8") if text.exists() else ""
     html = write_page(identification, log, name, pictures, contents, failures, equations)
@@ -127,33 +130,27 @@ def _tables(identification):
 def _figures(identification, folder):
     """Draw and save every figure: its name -> its picture for the page."""
     recording, model = identification.recording, identification.model
-    states = max(figures_identify.MOST // 2, figures_identify.MOST - recording.m)  # leaves room for inputs
-    names = [*recording.state_names[:states], *recording.input_names]
-    units = [*recording.state_units[:states], *recording.input_units]
-    spectra, predictions = identification.checks.spectrum, identification.overlay
-    drawings = {"data": (figures_identify.data_figure, (_curves(recording), names, units))}
-    if len(spectra):
-        drawings["spectra"] = (
-            figures_identify.spectra_figure,
-            (spectra, list(recording.state_names), list(recording.input_names)),
-        )
-    drawings |= {
-        "predictions": (
-            figures_identify.prediction_figure,
-            (predictions, list(model.state_names_), list(model.state_units_)),
-        ),
-        "growth": (figures_identify.growth_figure, (identification.growth,)),
-        "spectrum": (figures_identify.eigenvalue_figure, (identification.eigenvalues,)),
+    names, units, inputs = list(recording.state_names), list(recording.state_units), list(recording.input_names)
+    states = max(figures.MOST // 2, figures.MOST - recording.m)  # leaves room for inputs
+    channels = [*names[:states], *inputs], [*units[:states], *recording.input_units]
+    of_model = identification.overlay, list(model.state_names_), list(model.state_units_)
+    drawings = {
+        "data": (figures.data_figure, _curves(recording), *channels),
+        "spectra": (figures.spectra_figure, identification.checks.spectrum, names, inputs),
+        "predictions": (figures.prediction_figure, *of_model),
+        "growth": (figures.growth_figure, identification.growth),
+        "spectrum": (figures.eigenvalue_figure, identification.eigenvalues),
     }
     pictures = {}
-    for key, (draw, arguments) in drawings.items():
-        save_figure(draw(*arguments), arguments[0], folder / key)
-        pictures[key] = page.picture(folder, key)
+    for key, (draw, table, *arguments) in drawings.items():
+        if len(table):  # no spectra of a short recording
+            save_figure(draw(table, *arguments), table, folder / key)
+            pictures[key] = page.picture(folder, key)
     return pictures
 
 
 def _curves(recording):
-    """The recording as one table: ``trajectory``, ``time`` from its beginning, channels; about `_CURVE` rows at most."""
+    """The recording as one table: ``trajectory``, ``time`` from its beginning, channels; about `_CURVE` rows."""
     table = recording.to_frame()
     starts = np.concatenate([[0.0], np.cumsum(recording.lengths[:-1] * recording.dt)])
     table["time"] += np.repeat(starts, recording.lengths)
@@ -164,7 +161,7 @@ def _exports(identification, stage):
     """Write the exports: (file, what it is) of each, and one sentence for each that could not be made."""
     folder, model = stage / "export", identification.model
     folder.mkdir()
-    name, exports, failures = identifier("model"), [], []
+    exports, failures = [], []
 
     def attempt(what, export):
         try:
@@ -174,22 +171,20 @@ def _exports(identification, stage):
 
     def text_and_latex():
         if len(model.names_) > _READABLE:
-            raise ValueError(
-                f"{len(model.names_)} functions are too many to read; tras.export.formulas(model) writes them all the same."
-            )
+            many = f"{len(model.names_)} functions are too many to read"
+            raise ValueError(f"{many}; tras.export.formulas(model) writes them all the same.")
         paths = [folder / "formulas.txt", folder / "formulas.tex"]
         for path, latex in zip(paths, (False, True)):
             path.write_text(formulas(model, identification.train, tolerance=0.01, latex=latex) + "\n", encoding="utf-8")
         return paths
 
     def state_space():
-        system = to_statespace(model)
-        path = folder / "statespace.npz"
+        system, path = to_statespace(model), folder / "statespace.npz"
         np.savez(path, A=system.A, B=system.B, C=system.C, D=system.D, dt=system.dt)
         return [path]
 
-    attempt("the model for MATLAB and GNU Octave (docs/export.md)", lambda: to_matlab(model, folder / f"{name}.mat"))
-    attempt("the one-step predictor in C99", lambda: to_c(model, folder / f"{name}.c"))
+    attempt("the model for MATLAB and GNU Octave (docs/export.md)", lambda: to_matlab(model, folder / "model.mat"))
+    attempt("the one-step predictor in C99", lambda: to_c(model, folder / "model.c"))
     if model.predictor == "lifted_linear":
         attempt("matrices A, B, C, D for python-control: tras.export.to_statespace(model)", state_space)
     else:

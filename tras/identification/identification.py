@@ -1,5 +1,6 @@
 """From a recording of a rig to a model and an honest verdict, in one call."""
 
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -8,11 +9,12 @@ import pandas as pd
 from sklearn.base import clone
 
 from tras.identification import advice, preparation
-from tras.identification import checks as datachecks
 from tras.identification.bootstrap import bootstrap, prediction_band
+from tras.identification.checks import Checks, check
 from tras.identification.scores import compare, growth, typical_and_worst
 from tras.identification.search import search, without_first
-from tras.recording import join
+from tras.model import KoopmanModel
+from tras.recording import Recording, join
 from tras.solver.threads import one_blas_thread
 
 FITTED = 2_000_000  # snapshot pairs of the final fit, at most
@@ -22,32 +24,29 @@ CHOSEN, LINEAR = "model", "linear model"
 
 
 class Identification(NamedTuple):
-    """The result of `identify`.
+    """The result of `identify`."""
 
-    ``recording`` as used (without idle channels), ``train`` (the pieces that the model was fitted to) and ``test``
-    (windows as measured); ``checks`` (`tras.identification.checks.Checks`), ``search`` (every candidate), ``model``, ``linear``;
-    the tables ``metrics, growth, overlay, eigenvalues``; ``pairs`` of position and velocity; ``ensemble``; ``remarks``
-    on each step, by its name; ``advice``.
-    """
-
-    recording: object
-    train: object
-    test: object
-    checks: datachecks.Checks
-    search: pd.DataFrame
-    model: object
-    linear: object
+    recording: Recording  # as used: without idle channels
+    train: Recording  # the pieces that the model was fitted to
+    test: Recording  # windows as measured
+    checks: Checks
+    search: pd.DataFrame  # every candidate
+    model: KoopmanModel
+    linear: KoopmanModel
     metrics: pd.DataFrame
     growth: pd.DataFrame
     overlay: pd.DataFrame
     eigenvalues: pd.DataFrame
-    pairs: list
+    pairs: list  # (position, velocity), names
     ensemble: list
-    remarks: dict
+    remarks: dict  # step -> sentences
     advice: list
 
 
-def identify(recording, *, predictor=None, delays=None, smoothing=None, draws=30, seed=0):
+def identify(
+    recording: Recording, *, predictor: str | None = None, delays: Sequence[int] | None = None,
+    smoothing: bool | None = None, draws: int = 30, seed: int = 0,
+) -> Identification:  # fmt: skip
     """Check, cut, search, fit, test: a model of a recording of which nothing else is known.
 
     Parameters
@@ -87,15 +86,18 @@ def identify(recording, *, predictor=None, delays=None, smoothing=None, draws=30
 
 
 def _identify(log, predictor, delays, smoothing, draws, seed):
-    prepared = preparation.prepare(log)
-    pairs, samples = prepared.pairs, prepared.samples
-    checks = datachecks.check(prepared.recording, max(1, prepared.memory // 4))
-    train_treatments = preparation.Treatments(prepared.train, pairs, FITTED)
-    test_treatments = preparation.Treatments(prepared.test, pairs, 2 * TESTED)
-    table, search_remarks = search(train_treatments, samples, predictor=predictor, delays=delays, smoothing=smoothing)
+    recording, idle_remarks = preparation.without_idle_channels(log)
+    train_log, test_log, partition_remark = preparation.partition(recording)
+    lag = preparation.memory(train_log)
+    samples, length_remark = preparation.piece_length(train_log, lag)
+    pairs = preparation.velocity_pairs(train_log, lag)
+    pair_remarks = [f"the velocity of {position} is {velocity}, by their numbers" for position, velocity in pairs]
+    training = preparation.Treatments(train_log, pairs, FITTED)
+    testing = preparation.Treatments(test_log, pairs, 2 * TESTED)
+    table, search_remarks = search(training, samples, predictor=predictor, delays=delays, smoothing=smoothing)
     latest = int(table["delays"].max())
-    pieces = partial(train_treatments.pieces, samples=samples, fewest=latest + 5)
-    windows = partial(test_treatments.pieces, samples=samples, fewest=latest + 5, most=TESTED)
+    pieces = partial(training.pieces, samples=samples, fewest=latest + 5)
+    windows = partial(testing.pieces, samples=samples, fewest=latest + 5, most=TESTED)
     truth = windows("as measured")
     if truth.lengths.min() <= latest + 1:
         raise ValueError(
@@ -111,17 +113,24 @@ def _identify(log, predictor, delays, smoothing, draws, seed):
     if row["states"] == "smoothed":
         models["model, started as measured"] = (model, truth)
     metrics, runs = compare(models, truth, train, latest)
-    ensemble, no_band = _ensemble(model, train, draws, seed)
-    remarks = {**prepared.remarks, "search": search_remarks, "treatment": row["states"], "band": no_band}
+    ensemble, no_band = [], "" if draws else "no band was asked for"
+    if draws:
+        try:
+            ensemble = bootstrap(model, preparation.thinned(train, _DRAWN), draws, seed)
+        except ValueError as error:
+            no_band = str(error)
+    remarks = {"idle": idle_remarks, "partition": [partition_remark, length_remark], "pairs": pair_remarks}
+    remarks |= {"search": search_remarks, "treatment": row["states"], "band": no_band}
     identification = Identification(
-        prepared.recording, train, truth, checks, table, model, linear, metrics, growth(runs, truth, latest),
-        _overlay(runs, truth, starts, model, ensemble, latest), _eigenvalues(model, linear), pairs, ensemble, remarks, [],
+        recording, train, truth, check(recording, max(1, lag // 4)), table, model, linear, metrics,
+        growth(runs, truth, latest), _overlay(runs, truth, starts, model, ensemble, latest),
+        _eigenvalues(model, linear), pairs, ensemble, remarks, [],
     )  # fmt: skip
     return identification._replace(advice=advice.of(identification, log))
 
 
 def _fitted(table, pieces):
-    """The chosen candidate, or the best of these, fitted to all pieces; the next one if that has no logarithm, say."""
+    """The chosen candidate, or the best of these, fitted to all pieces; the next one if that cannot be fitted."""
     order = table[np.isfinite(table["error"])].sort_values(["chosen", "error"], ascending=[False, True], kind="stable")
     reason = None
     for _, row in order.iterrows():
@@ -132,33 +141,17 @@ def _fitted(table, pieces):
     raise ValueError(f"no candidate could be fitted to all of the training data{f': {reason}' if reason else ''}")
 
 
-def _ensemble(model, train, draws, seed):
-    """The bootstrap, and why there is none."""
-    if not draws:
-        return [], "no band was asked for"
-    try:
-        return bootstrap(model, preparation.thinned(train, _DRAWN), draws, seed), ""
-    except ValueError as error:
-        return [], str(error)
-
-
 def _overlay(runs, truth, starts, model, ensemble, latest):
-    """Two windows: ``window`` ("typical", "worst"), ``time`` (s), ``STATE: true, model, linear model, lower, upper``."""
+    """Two windows: ``window`` ("typical", "worst"), ``time``, ``STATE: true, model, linear model, lower, upper``."""
     windows, tables = typical_and_worst(runs[CHOSEN], truth, latest), []
     late = without_first(starts[list(windows)], latest - model.delays)
     band = prediction_band(ensemble, late) if ensemble else [np.full((2, len(late.states[0]), truth.n), np.nan)] * 3
     for j, (name, k) in enumerate(zip(("typical", "worst"), windows)):
         true, (lower, _, upper) = truth.states[k][latest:], [edge[j][model.delays :] for edge in band]
+        curves = {"true": true, CHOSEN: runs[CHOSEN][k], LINEAR: runs[LINEAR][k], "lower": lower, "upper": upper}
         table = {"window": name, "time": np.arange(len(true)) * truth.dt}
         for i, state in enumerate(truth.state_names):
-            columns = (
-                ("true", true),
-                (CHOSEN, runs[CHOSEN][k]),
-                (LINEAR, runs[LINEAR][k]),
-                ("lower", lower),
-                ("upper", upper),
-            )
-            table |= {f"{state}: {kind}": values[:, i] for kind, values in columns}
+            table |= {f"{state}: {kind}": values[:, i] for kind, values in curves.items()}
         tables.append(pd.DataFrame(table))
     return pd.concat(tables, ignore_index=True)
 
@@ -170,12 +163,7 @@ def _eigenvalues(model, linear):
         values = fitted.eigenvalues
         with np.errstate(divide="ignore"):
             logarithm = np.log(values.astype(complex)) / fitted.dt_
-        columns = {
-            "real": values.real,
-            "imag": values.imag,
-            "modulus": np.abs(values),
-            "rate": logarithm.real,
-            "frequency": logarithm.imag / (2 * np.pi),
-        }
-        tables.append(pd.DataFrame({"model": name, **columns}))
+        columns = {"model": name, "real": values.real, "imag": values.imag, "modulus": np.abs(values)}
+        columns |= {"rate": logarithm.real, "frequency": logarithm.imag / (2 * np.pi)}
+        tables.append(pd.DataFrame(columns))
     return pd.concat(tables, ignore_index=True)

@@ -1,18 +1,17 @@
 """Add measurement noise, and measure it (paper, sigma_k in (12)).
 
-Noise on the states biases extended dynamic mode decomposition: it enters both sides of every snapshot pair, and
-functions of a noisy state are wrong on average too. Two remedies, one after the other: `tras.smooth` takes most of the
-noise out of the trajectories before they are lifted; `tras.refine` then fits whole trajectories, as measured, instead
-of single steps.
+Noise on the states biases the fit: it enters both sides of every snapshot pair, and functions of a noisy state are
+wrong on average. `tras.smooth` takes most of it out before the lifting; `tras.refine` then fits whole trajectories.
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from tras.recording import join
+from tras.recording import Recording, join
 from tras.workflow import arguments
 
 
-def add_noise(recording, level, rng):
+def add_noise(recording: Recording, level: ArrayLike, rng: np.random.Generator | int) -> Recording:
     """The recording with white Gaussian noise on its states, sigma_k of equation (12); inputs stay exact.
 
     Add it before `Recording.cut`, so that a sample that two pieces share has one value.
@@ -25,31 +24,24 @@ def add_noise(recording, level, rng):
     rng : numpy.random.Generator or int
         Generator or seed; the same seed gives the same noise.
 
-    Returns
-    -------
-    Recording
-
     Raises
     ------
     ValueError
-        If ``level`` is negative, not finite, or neither one number nor one per state, or ``rng`` is neither a generator
-        nor a seed.
+        If ``level`` is negative, not finite, or neither one number nor one per state, or ``rng`` is no seed.
     """
     recording = join(recording)
     fraction = np.asarray(level, dtype=float)
     if fraction.shape not in ((), (recording.n,)) or not (np.isfinite(fraction).all() and (fraction >= 0).all()):
-        raise ValueError(
-            f"level is {level!r}; give a fraction of the range, 0 or more (0.01 is 1 %), or {recording.n} of them."
-        )
+        remedy = f"give a fraction of the range, 0 or more (0.01 is 1 %), or {recording.n} of them"
+        raise ValueError(f"level is {level!r}; {remedy}.")
     arguments.seed("rng", rng, "the noise")
     rng = np.random.default_rng(rng)
     sigma = fraction * np.ptp(np.concatenate([x for x, _ in recording]), axis=0)
-    return recording.with_data(
-        [x + sigma * rng.standard_normal(x.shape) for x, _ in recording], [u for _, u in recording]
-    )
+    noisy = [x + sigma * rng.standard_normal(x.shape) for x, _ in recording]
+    return recording.with_data(noisy, [u for _, u in recording])
 
 
-def noise_level(recording):
+def noise_level(recording: Recording) -> np.ndarray:
     """Standard deviation of the noise on each state, (n,), in the states' own units, from third differences.
 
     ``x_(k+3) - 3 x_(k+2) + 3 x_(k+1) - x_k`` removes a smooth signal and leaves 20 times the variance of white noise
@@ -63,8 +55,7 @@ def noise_level(recording):
     """
     recording = join(recording)
     if recording.lengths.max() < 4:
-        raise ValueError(
-            f"the longest trajectory has {recording.lengths.max()} samples; noise can be told from four or more."
-        )
+        longest = recording.lengths.max()
+        raise ValueError(f"the longest trajectory has {longest} samples; noise can be told from four or more.")
     third = np.concatenate([np.diff(x, n=3, axis=0) for x, _ in recording if len(x) > 3])
     return np.sqrt(np.mean(third**2, axis=0) / 20)

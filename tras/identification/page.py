@@ -2,7 +2,6 @@
 
 import math
 
-import numpy as np
 import pandas as pd
 
 from tras import summary
@@ -20,12 +19,12 @@ _WEIGHTS = {
 _ROWS = 40  # of a table on the page; the files have all
 
 
-def write_page(identification, log, name, figures, exports, failures, formulas=""):
-    """Write the page as text.
+def write_page(identification, log, name, figures, exports, failures, formulas="") -> str:
+    """The page as text.
 
     Parameters
     ----------
-    identification : tras.identification.identification.Identification
+    identification : Identification
     log : Recording
         As read.
     name : str
@@ -43,53 +42,44 @@ def write_page(identification, log, name, figures, exports, failures, formulas="
     convert = page.converter(lambda kind, spec: "", contents)
 
     def put(heading, *html):
-        parts.append(convert(heading))
-        parts.extend(html)
+        parts.extend([convert(heading), *html])
 
-    def text(*sentences):
-        return "".join(f"<p>{page.escape(sentence)}</p>\n" for sentence in sentences if sentence)
+    def text(sentence):
+        return f"<p>{page.escape(sentence)}</p>\n"
 
     def picture(key, alt, caption):
         return page.figure(figures[key], alt, page.escape(caption), key) if key in figures else ""
 
     put(f"# Identification of {_plain(name)}")
     put("## In short", text(advice.verdict(identification)), _chosen(identification), _advice(identification))
-    sentences = [_list(remarks(log)), _list(step_remarks["pairs"])]
-    put("## The recording", text(_size(identification)), *sentences, _channels(identification))
-    caption = "The recording, trajectories one behind the other (grey lines where one begins). " + _shown(
-        identification
-    )
-    parts.append(picture("data", "All channels over time", caption))
-    parts.append(convert("### Excitation"))
-    parts.append(text(_excitation(identification)) + _correlation(identification))
+    sentences = _list(remarks(log)), _list(step_remarks["pairs"])
+    channels = identification.recording.n + identification.recording.m
+    more = f"Six of {channels} channels are shown." if channels > 6 else ""
+    caption = f"The recording, trajectories one behind the other (grey lines where one begins). {more}"
+    data = picture("data", "All channels over time", caption)
+    put("## The recording", text(_size(identification)), *sentences, _channels(identification), data)
     caption = "Where in frequency the channels move, by Welch's method: share of variance per Hz. Means are taken away."
-    parts.append(picture("spectra", "Spectra of inputs and states", caption))
-    sentences = [*step_remarks["partition"], *step_remarks["search"]]
-    put(
-        "## How the model was chosen", text(_search_text(identification)), _list(sentences), _candidates(identification)
-    )
-    put("## How well it predicts", text(_test_text(identification)), _metrics(identification))
-    parts.append(
-        picture(
-            "predictions", "Measured and predicted states over two test windows", _prediction_caption(identification)
-        )
-    )
+    spectra = picture("spectra", "Spectra of inputs and states", caption)
+    put("### Excitation", text(_excitation(identification)), _correlation(identification), spectra)
+    sentences = _list([*step_remarks["partition"], *step_remarks["search"]])
+    put("## How the model was chosen", text(_search_text(identification)), sentences, _candidates(identification))
+    caption = _prediction_caption(identification)
+    predictions = picture("predictions", "Measured and predicted states over two test windows", caption)
     caption = (
-        "Root mean square error of all states over the test windows, each in percent of the state's range, "
-        "against how far ahead is predicted."
+        "Root mean square error of all states over the test windows, each in percent of the state's range, against how "
+        "far ahead is predicted."
     )
-    parts.append(picture("growth", "Error against time ahead", caption))
-    put("## The operator", f"<pre>{page.escape(summary.describe(identification.model))}</pre>\n", _formulas(formulas))
+    growth = picture("growth", "Error against time ahead", caption)
+    put("## How well it predicts", text(_test_text(identification)), _metrics(identification), predictions, growth)
     caption = (
-        "Eigenvalues of the Koopman matrices and the unit circle; on the right the neighbourhood of one. "
-        "One exactly belongs to the constant and to functions of inputs alone, which are held over a sample."
+        "Eigenvalues of the Koopman matrices and the unit circle; on the right the neighbourhood of one. One exactly "
+        "belongs to the constant and to functions of inputs alone, which are held over a sample."
     )
-    parts.append(picture("spectrum", "Eigenvalues with the unit circle", caption))
+    description = f"<pre>{page.escape(summary.describe(identification.model))}</pre>\n"
+    spectrum = picture("spectrum", "Eigenvalues with the unit circle", caption)
+    put("## The operator", description, _formulas(formulas), spectrum)
     put("## Files", _files(exports), _list(failures), _use(identification))
     return page.frame(f"Identification of {name}", "".join(parts), contents)
-
-
-# --- parts -------------------------------------------------------------------------------------------------------------------------
 
 
 def _plain(name):
@@ -102,9 +92,10 @@ def _chosen(identification):
     words, code = model.dictionary.words(model.state_names_), label(model.dictionary)
     delays = f", {model.delays} delay{'s' if model.delays != 1 else ''}" if model.delays else ""
     states = {"smoothed": "smoothed states", "as measured": "states as measured"}[identification.remarks["treatment"]]
+    dictionary = f"{page.escape(words)} (<code>{page.escape(code)}</code>, {len(model.names_)} functions)"
     return (
-        f"<p>The model: {page.escape(words)} (<code>{page.escape(code)}</code>, {len(model.names_)} functions){delays}, predictor "
-        f"<code>{page.escape(model.predictor)}</code>, fitted to {model.pairs_} snapshot pairs of {states}.</p>\n"
+        f"<p>The model: {dictionary}{delays}, predictor <code>{page.escape(model.predictor)}</code>, fitted to "
+        f"{model.pairs_} snapshot pairs of {states}.</p>\n"
     )
 
 
@@ -121,48 +112,21 @@ def _advice(identification):
 
 def _size(identification):
     facts = identification.checks.facts
-    lengths = (
-        f"{facts['longest']}" if facts["shortest"] == facts["longest"] else f"{facts['shortest']} to {facts['longest']}"
-    )
+    lengths = " to ".join(map(str, dict.fromkeys((facts["shortest"], facts["longest"]))))
     trajectories = "1 trajectory" if facts["trajectories"] == 1 else f"{facts['trajectories']} trajectories"
     amount = f"{facts['samples']} samples, {facts['pairs']} snapshot pairs, {facts['seconds']:.4g} s in all"
     return f"{trajectories} of {lengths} samples at {facts['dt']:.6g} s: {amount}."
 
 
-def _shown(identification):
-    many = identification.recording.n + identification.recording.m
-    return f"Six of {many} channels are shown." if many > 6 else ""
-
-
 def _channels(identification):
-    rows = []
+    rows, numbers = [], ["lowest", "highest", "mean", "deviation"]
     for _, row in identification.checks.channels.iterrows():
         limit = 100 * max(row["at_lowest"], row["at_highest"])
-        level = f"{100 * row['noise']:.2g}" if np.isfinite(row["noise"]) else "–"
-        cells = [
-            row["channel"],
-            row["role"],
-            row["unit"] or "–",
-            *(f"{row[key]:.4g}" for key in ("lowest", "highest", "mean", "deviation")),
-        ]
-        rows.append(
-            [
-                page.escape(cell)
-                for cell in (*cells, f"{row['step']:.3g}" if row["step"] else "–", f"{limit:.2g}", level)
-            ]
-        )
-    head = [
-        "channel",
-        "role",
-        "unit",
-        "lowest",
-        "highest",
-        "mean",
-        "deviation",
-        "step",
-        "at a limit (%)",
-        "noise (% of range)",
-    ]
+        step = f"{row['step']:.3g}" if row["step"] else "–"
+        noise = _number(100 * row["noise"], ".2g")
+        words, values = [row["channel"], row["role"], row["unit"] or "–"], [f"{row[key]:.4g}" for key in numbers]
+        rows.append([page.escape(cell) for cell in (*words, *values, step, f"{limit:.2g}", noise)])
+    head = ["channel", "role", "unit", *numbers, "step", "at a limit (%)", "noise (% of range)"]
     caption = (
         "Channels: deviation is the standard deviation, step the usual distance between neighbouring values "
         "if they are few, noise what moves within four samples."
@@ -175,15 +139,11 @@ def _excitation(identification):
     rank, condition = f"rank {facts['rank']} of {facts['channels']}", f"condition number {facts['condition']:.3g}"
     sentences = [f"Constant, states and inputs, each scaled to its range: {rank}, {condition}."]
     if facts["order"] is not None:
-        more = " or more" if facts["order"] == 20 else ""
-        sentences.append(
-            f"The inputs are persistently exciting of order {facts['order']}{more}, lags of {facts['lag'] * facts['dt']:.3g} s."
-        )
+        order, lag = f"{facts['order']}{' or more' if facts['order'] == 20 else ''}", facts["lag"] * facts["dt"]
+        sentences.append(f"The inputs are persistently exciting of order {order}, lags of {lag:.3g} s.")
     if facts["feedback"]:
         shares = ", ".join(f"{100 * share:.3g} % of {name}" for name, share in facts["feedback"].items())
-        sentences.append(
-            f"A linear function of the present states explains {shares} (nearly all of it would mean feedback)."
-        )
+        sentences.append(f"A linear function of the present states explains {shares} (nearly all would mean feedback).")
     return " ".join(sentences)
 
 
@@ -196,33 +156,27 @@ def _correlation(identification):
 
 
 def _search_text(identification):
-    table = identification.search
     return (
-        f"{len(table)} candidates in two rounds: treatments of noise and numbers of delays first, with a linear and a nonlinear dictionary; then every "
-        "dictionary at the best of these, and without delays. The error is that of whole roll-outs of pieces that were held out from the candidate, "
-        "against what was measured; each candidate also chooses its strength of regularization. Errors within 10 % of the least count as equal, and "
-        "then the candidate with fewest functions is taken."
+        f"{len(identification.search)} candidates in two rounds: treatments of noise and numbers of delays first, with "
+        "a linear and a nonlinear dictionary; then every dictionary at the best of these, and without delays. The "
+        "error is that of whole roll-outs of pieces that were held out from the candidate, against what was measured; "
+        "each candidate also chooses its strength of regularization. Errors within 10 % of the least count as equal, "
+        "and then the candidate with fewest functions is taken."
     )
 
 
 def _candidates(identification):
-    table = identification.search.sort_values("error", kind="stable").head(_ROWS)
-    rows = []
-    for _, row in table.iterrows():
-        mark = (
-            "<strong>chosen</strong>"
-            if row["chosen"]
-            else page.escape(one_line(row["failure"])[:160])
-            if row["failure"]
-            else ""
-        )
-        error = f"{row['error']:.4g}" if math.isfinite(row["error"]) else "–"
-        functions = f"{row['functions']:.0f}" if math.isfinite(row["functions"]) else "–"
-        strength = f"{row['strength']:g}" if math.isfinite(row["strength"]) else "–"
+    rows, count = [], len(identification.search)
+    for _, row in identification.search.sort_values("error", kind="stable").head(_ROWS).iterrows():
+        mark = page.escape(one_line(row["failure"])[:160]) if row["failure"] else ""
+        if row["chosen"]:
+            mark = "<strong>chosen</strong>"
         words = row["model"].dictionary.words(identification.recording.state_names)
-        options = [page.escape(words), page.escape(row["predictor"]), str(row["delays"]), page.escape(row["states"])]
-        rows.append([*options, functions, strength, error, mark])
-    count = len(identification.search)
+        options = [page.escape(each) for each in (words, row["predictor"], row["delays"], row["states"])]
+        numbers = [
+            _number(row[name], digits) for name, digits in (("functions", ".0f"), ("strength", "g"), ("error", ".4g"))
+        ]
+        rows.append([*options, *numbers, mark])
     more = f" The best {_ROWS} of {count}; all are in tables/search.csv." if count > _ROWS else ""
     head = ["dictionary", "predictor", "delays", "states", "functions", "strength", "error (half-ranges)", ""]
     return page.table(head, rows, f"Candidates, the least error first.{more}", kind="short")
@@ -231,9 +185,10 @@ def _candidates(identification):
 def _test_text(identification):
     windows, longest = len(identification.test), int(identification.test.lengths.max())
     return (
-        f"{windows} windows of up to {longest} samples that nothing was chosen or fitted by; every prediction starts from the first samples of its "
-        "window and sees the inputs only. NRMSE is the root mean square error over the range of the truth, BFR the best fit ratio (100 is perfect, 0 "
-        "no better than the mean), Enr the norm of the error over that of the truth."
+        f"{windows} windows of up to {longest} samples that nothing was chosen or fitted by; every prediction starts "
+        "from the first samples of its window and sees the inputs only. NRMSE is the root mean square error over the "
+        "range of the truth, BFR the best fit ratio (100 is perfect, 0 no better than the mean), Enr the norm of the "
+        "error over that of the truth."
     )
 
 
@@ -241,35 +196,32 @@ def _metrics(identification):
     rows, metrics = [], identification.metrics
     table = pd.concat([metrics[metrics["state"] == state] for state in identification.test.state_names])
     for _, row in table.iterrows():
-        values = [row["one_step"], row["nrmse"], row["bfr"], row["enr"]]
-        shown = [f"{value:.{digits}g}" if np.isfinite(value) else "–" for value, digits in zip(values, (3, 3, 4, 3))]
-        rows.append(
-            [
-                page.escape(row["state"]),
-                page.escape(row["prediction"]),
-                *shown,
-                f"{row['diverged']} of {row['windows']}",
-            ]
-        )
+        formats = {"one_step": ".3g", "nrmse": ".3g", "bfr": ".4g", "enr": ".3g"}
+        numbers = [_number(row[name], digits) for name, digits in formats.items()]
+        names = [page.escape(row["state"]), page.escape(row["prediction"])]
+        rows.append([*names, *numbers, f"{row['diverged']} of {row['windows']}"])
     head = ["state", "prediction", "one-step NRMSE (%)", "NRMSE (%)", "BFR (%)", "Enr", "diverged"]
     return page.table(head, rows, "Test.", keys=2)
 
 
 def _prediction_caption(identification):
-    band = f"There is no band: {identification.remarks['band']}."
-    if identification.ensemble:
-        band = (
-            f"The band holds 90 % of {len(identification.ensemble)} models fitted to resampled trajectories: what is uncertain because the data are few or "
-            "noisy, not what the dictionary cannot say."
-        )
+    band, members = f"There is no band: {identification.remarks['band']}.", len(identification.ensemble)
+    if members:
+        uncertain = "what is uncertain because the data are few or noisy, not what the dictionary cannot say"
+        band = f"The band holds 90 % of {members} models fitted to resampled trajectories: {uncertain}."
     more = " Six states are shown, all are in tables/predictions.csv." if identification.recording.n > 6 else ""
     return f"Two test windows: the one with the median error, and the worst. {band}{more}"
+
+
+def _number(value, digits):
+    return format(value, digits) if math.isfinite(value) else "–"
 
 
 def _formulas(formulas):
     if not formulas or len(formulas) > 4000:
         return ""
-    return f"<p>As formulas, without terms that change a row by less than 1 %:</p>\n<pre>{page.escape(formulas.strip())}</pre>\n"
+    heading = "<p>As formulas, without terms that change a row by less than 1 %:</p>"
+    return f"{heading}\n<pre>{page.escape(formulas.strip())}</pre>\n"
 
 
 def _files(exports):
@@ -280,19 +232,14 @@ def _files(exports):
 def _use(identification):
     model, names = identification.model, ", ".join(identification.recording.state_names)
     first = f"log.states[0][: {model.delays + 1}]" if model.delays else "log.states[0][0]"
-    recording = identification.recording
-    imports, inputs = (
-        ("import tras", "log.inputs[0]") if recording.m else ("import numpy\nimport tras", "numpy.empty((500, 0))")
-    )
-    code = f'{imports}\n\nmodel = tras.load_model("model.npz")\nstates = model.simulate({first}, {inputs})  # log: a tras.Recording of {names}'
-    return f"<pre>{page.escape(code)}</pre>\n"
+    imports, inputs = "import tras", "log.inputs[0]"
+    if not identification.recording.m:
+        imports, inputs = "import numpy\nimport tras", "numpy.empty((500, 0))"
+    code = f'{imports}\n\nmodel = tras.load_model("model.npz")\nstates = model.simulate({first}, {inputs})'
+    return f"<pre>{page.escape(code)}  # log: a tras.Recording of {page.escape(names)}</pre>\n"
 
 
 def _list(sentences):
-    items = "".join(f"<li>{page.escape(_ended(sentence))}</li>\n" for sentence in sentences)
+    whole = [f"{sentence[:1].upper()}{sentence[1:].removesuffix('.')}." for sentence in sentences]
+    items = "".join(f"<li>{page.escape(sentence)}</li>\n" for sentence in whole)
     return f"<ul>\n{items}</ul>\n" if items else ""
-
-
-def _ended(sentence):
-    sentence = sentence[:1].upper() + sentence[1:]
-    return sentence if sentence.endswith(".") else f"{sentence}."

@@ -1,10 +1,7 @@
-"""A recording of a rig made ready for its identification, each step once.
+"""A recording of a rig made ready for its identification: each step once, with sentences on what it leaves out.
 
-`prepare` leaves idle channels out, holds a test back and chooses the length of the pieces; `Treatments` holds one part of
-the recording as measured and smoothed. Each step that leaves something out returns sentences that say so.
+`identification.identify` calls them in this order. `Treatments` holds a part of it as measured and smoothed.
 """
-
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,34 +15,133 @@ _CHUNK = 2001  # samples that are smoothed at once
 _FINE = 2e-4  # noise, as a fraction of the range, that is not worth smoothing away
 
 
-class Prepared(NamedTuple):
-    """A recording made ready; see `prepare`."""
-
-    recording: Recording  # without idle channels
-    train: Recording  # uncut, as is the test
-    test: Recording
-    pairs: list  # (position, velocity), names
-    memory: int  # samples
-    samples: int  # of a piece
-    remarks: dict  # "idle", "partition", "pairs" -> sentences
-
-
-def prepare(recording):
-    """Everything that is decided about a recording before any model.
+def without_idle_channels(recording: Recording) -> tuple[Recording, list[str]]:
+    """The recording without channels that are constant, or linear combinations of those before them; and remarks.
 
     Raises
     ------
     ValueError
-        If no state moves, or there is too little for a test.
+        If no state moves.
     """
-    recording, idle = without_idle_channels(recording)
-    train, test, partition_remark = partition(recording)
-    lag = memory(train)
-    samples, length_remark = piece_length(train, lag)
-    pairs = velocity_pairs(train, lag)
-    pair_remarks = [f"the velocity of {position} is {velocity}, by their numbers" for position, velocity in pairs]
-    remarks = {"idle": idle, "partition": [partition_remark, length_remark], "pairs": pair_remarks}
-    return Prepared(recording, train, test, pairs, lag, samples, remarks)
+    x, u = (np.concatenate(part) for part in zip(*recording))
+    names, table = (*recording.state_names, *recording.input_names), np.hstack([x, u])
+    active, remarks, basis = [], [], np.ones((len(table), 1)) / np.sqrt(len(table))
+    for name, column in zip(names, table.T):
+        rest = column - column.mean()
+        spread = np.linalg.norm(rest)
+        if np.ptp(column) <= 1e-12 * np.abs(column).max() or spread == 0:
+            remarks.append(f"{name} is constant ({column[0]:.6g}) and was left out")
+            continue
+        for _ in range(2):  # twice is enough (Kahan and Parlett)
+            rest = rest - basis @ (basis.T @ rest)
+        if np.linalg.norm(rest) <= 1e-7 * spread:
+            others = " and ".join(filter(None, [", ".join(active[:-1]), *active[-1:]]))
+            remarks.append(f"{name} is a linear combination of {others} at every sample and was left out")
+            continue
+        active.append(name)
+        if basis.shape[1] <= 200:
+            basis = np.hstack([basis, (rest / np.linalg.norm(rest))[:, None]])
+    states = [name for name in recording.state_names if name in active]
+    if not states:
+        remedy = "Give others as states, or record while something happens."
+        raise ValueError(f"no state moves: {'; '.join(remarks)}. {remedy}")
+    return recording.select(states=states, inputs=[name for name in recording.input_names if name in active]), remarks
+
+
+def partition(recording: Recording) -> tuple[Recording, Recording, str]:
+    """Two recordings, uncut: one to learn from, and a fifth by which nothing is chosen or fitted; and a remark.
+
+    With five trials or more these are whole trials, every fifth one. Otherwise it is the end of each trial:
+    neighbouring pieces are not independent.
+
+    Raises
+    ------
+    ValueError
+        If there is too little for that.
+    """
+    trials = len(recording)
+    if trials >= _FEWEST_TRIALS:
+        of_test = np.arange(trials) % 5 == 2
+        remark = f"{of_test.sum()} of {trials} trajectories are kept for the test, every fifth one"
+        return recording[~of_test], recording[of_test], remark
+    train, test, short = [], [], []
+    for x, u in recording:
+        end = 4 * (len(x) - 1) // 5
+        if len(x) - end < 10:
+            short.append((x, u))
+        else:
+            train.append((x[: end + 1], u[: end + 1]))
+            test.append((x[end:], u[end:]))
+    if not test:
+        raise ValueError(
+            f"the recording has {int(recording.lengths.sum())} samples in {trials} trajectories; to learn from four "
+            "fifths and test on one it needs 50 in one trajectory, or five trajectories: record more."
+        )
+    train, test = (recording.with_data(*map(list, zip(*part))) for part in (train + short, test))
+    whole = "the recording" if trials == 1 else "each trajectory"
+    return train, test, f"the last fifth of {whole} is kept for the test"
+
+
+def memory(recording: Recording) -> int:
+    """The samples over which the states remember: the lag at which the slowest one's autocorrelation falls below 1/e.
+
+    At most half of the longest trajectory.
+    """
+    slowest = 1
+    for x in sorted((x for x, _ in recording if len(x) >= 4), key=len)[-20:]:
+        centred = x - x.mean(axis=0)
+        power = np.abs(np.fft.rfft(centred, 2 * len(x), axis=0)) ** 2
+        correlation = np.fft.irfft(power, axis=0)[: len(x) // 2 + 1]
+        below = correlation < np.exp(-1) * correlation[0]
+        lags = np.where(below.any(axis=0), below.argmax(axis=0), len(x) // 2)
+        slowest = max(slowest, int(lags[centred.any(axis=0)].max(initial=1)))
+    return slowest
+
+
+def piece_length(recording: Recording, lag: int) -> tuple[int, str]:
+    """The samples of a piece, and the sentence that says why.
+
+    Five times the states' `memory`, so that a piece shows the system forgetting where it began; between 26 and 501
+    samples, and short enough for thirty pieces if each still has 26 samples.
+    """
+    steps = int(np.clip(5 * lag, SHORTEST - 1, LONGEST - 1))
+    longest, most = int(recording.lengths.max()), max(recording.pairs // 30, SHORTEST - 1)
+    samples = min(steps, most, longest - 1) + 1
+    if samples - 1 < steps:
+        why = "so that there are thirty pieces" if most < longest else "the longest trajectory"
+    elif steps in (SHORTEST - 1, LONGEST - 1):
+        why = f"the {'longest' if steps == LONGEST - 1 else 'shortest'} that is taken"
+    else:
+        why = f"five times the {lag * recording.dt:.3g} s within which the states forget themselves"
+    return samples, f"pieces have {samples} samples ({(samples - 1) * recording.dt:.3g} s; {why})"
+
+
+def velocity_pairs(recording: Recording, lag: int) -> list[tuple[str, str]]:
+    """Pairs (position, velocity) of states' names, by their numbers: the one is the other's integral.
+
+    Over a third of the `memory` the slope must be one within 5 %, so the velocity's unit is the position's per second.
+    """
+    # Long against noise, short against the motion.
+    span = int(np.clip(lag // 3, 10, max(10, int(recording.lengths.max()) // 4)))
+    stretches = [x for x, _ in recording if len(x) > span + 1]
+    if not stretches or recording.n < 2:
+        return []
+    every = max(1, sum(map(len, stretches)) // 50_000)
+    changes, integrals = [], []
+    for x in stretches:
+        area = np.vstack([np.zeros(recording.n), np.cumsum((x[1:] + x[:-1]) / 2, axis=0) * recording.dt])
+        changes.append((x[span:] - x[:-span])[::every])
+        integrals.append((area[span:] - area[:-span])[::every])
+    changes, integrals = (part - part.mean(axis=0) for part in map(np.concatenate, (changes, integrals)))
+    product, power = changes.T @ integrals, np.sum(integrals**2, axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        explained, off = product**2 / power / np.sum(changes**2, axis=0)[:, None], abs(product / power - 1)
+    np.fill_diagonal(explained, 0)
+    pairs = []
+    for i, j in zip(*np.unravel_index(np.argsort(-explained, axis=None), explained.shape)):
+        if explained[i, j] > 0.9 and off[i, j] < 0.05 and not {i, j} & {k for pair in pairs for k in pair}:
+            pairs.append((i, j))
+    return [(recording.state_names[i], recording.state_names[j]) for i, j in sorted(pairs)]
 
 
 class Treatments:
@@ -61,179 +157,26 @@ class Treatments:
         Snapshot pairs, about; of a longer recording some chunks are taken, spread evenly.
     """
 
-    def __init__(self, recording, pairs, most):
+    def __init__(self, recording: Recording, pairs: list[tuple[str, str]], most: int):
         self.recording, self.pairs = recording, pairs
         self._chunks = {"as measured": thinned(recording.cut_all(_CHUNK), most)}
 
-    def at_most(self, most):
+    def at_most(self, most: int) -> "Treatments":
         """These treatments, or new ones of fewer chunks."""
         return self if self._chunks["as measured"].pairs <= most else Treatments(self.recording, self.pairs, most)
 
-    def pieces(self, name, samples, fewest, most=np.inf):
-        """Pieces under one treatment, cut as by `in_pieces` and `thinned`: the same ones under each treatment."""
+    def pieces(self, name: str, samples: int, fewest: int, most: float = np.inf) -> Recording:
+        """Pieces under one treatment, `thinned`: the same ones under each treatment.
+
+        Rests and trajectories of fewer than ``fewest`` samples are left out, if there are others.
+        """
         if name not in self._chunks:
             self._chunks[name] = smoothed(self._chunks["as measured"], self.pairs)
-        return thinned(in_pieces(self._chunks[name], samples, fewest), most)
+        pieces = self._chunks[name].cut_all(samples)
+        return thinned(pieces[pieces.lengths >= min(fewest, int(pieces.lengths.max()))], most)
 
 
-def without_idle_channels(recording):
-    """The recording without channels that are constant, or linear combinations of those before them.
-
-    Returns
-    -------
-    recording : Recording
-    remarks : list of str
-
-    Raises
-    ------
-    ValueError
-        If no state moves.
-    """
-    recording = join(recording)
-    x, u = (np.concatenate(part) for part in zip(*recording))
-    names, table = (*recording.state_names, *recording.input_names), np.hstack([x, u])
-    active, remarks, basis = [], [], np.ones((len(table), 1)) / np.sqrt(len(table))
-    for name, column in zip(names, table.T):
-        size = np.abs(column).max()
-        rest = column - column.mean()
-        spread = np.linalg.norm(rest)
-        if np.ptp(column) <= 1e-12 * size or spread == 0:
-            remarks.append(f"{name} is constant ({column[0]:.6g}) and was left out")
-            continue
-        for _ in range(2):  # twice is enough (Kahan and Parlett)
-            rest = rest - basis @ (basis.T @ rest)
-        if np.linalg.norm(rest) <= 1e-7 * spread:
-            remarks.append(f"{name} is a linear combination of {_and(active)} at every sample and was left out")
-            continue
-        active.append(name)
-        if basis.shape[1] <= 200:
-            basis = np.hstack([basis, (rest / np.linalg.norm(rest))[:, None]])
-    states = [name for name in recording.state_names if name in active]
-    if not states:
-        raise ValueError(
-            f"no state moves: {'; '.join(remarks)}. Give others as states, or record while something happens."
-        )
-    return recording.select(states=states, inputs=[name for name in recording.input_names if name in active]), remarks
-
-
-def velocity_pairs(recording, lag):
-    """Pairs (position, velocity) of states' names, by their numbers: the one is the other's integral.
-
-    Over a third of the `memory` the slope must be one within 5 %, so the velocity's unit is the position's per second.
-    """
-    # Long against noise, short against the motion.
-    span = int(np.clip(lag // 3, 10, max(10, int(recording.lengths.max()) // 4)))
-    stretches = [x for x, _ in recording if len(x) > span + 1]
-    if not stretches or recording.n < 2:
-        return []
-    every = max(1, sum(map(len, stretches)) // 50_000)
-    changes, integrals = [], []
-    for x in stretches:
-        area = np.cumsum((x[1:] + x[:-1]) / 2, axis=0) * recording.dt
-        area = np.vstack([np.zeros(x.shape[1]), area])
-        changes.append((x[span:] - x[:-span])[::every])
-        integrals.append((area[span:] - area[:-span])[::every])
-    changes, integrals = np.concatenate(changes), np.concatenate(integrals)
-    changes, integrals = changes - changes.mean(axis=0), integrals - integrals.mean(axis=0)
-    power = np.sum(integrals**2, axis=0)
-    scores = []
-    for i in range(recording.n):
-        for j in range(recording.n):
-            product = changes[:, i] @ integrals[:, j]
-            if i != j and power[j] > 0 and np.sum(changes[:, i] ** 2) > 0:
-                explained = product**2 / power[j] / np.sum(changes[:, i] ** 2)
-                scores.append((explained, abs(product / power[j] - 1), i, j))
-    pairs, taken = [], set()
-    for explained, off, i, j in sorted(scores, reverse=True):
-        if explained > 0.9 and off < 0.05 and not {i, j} & taken:
-            pairs.append((i, j))
-            taken |= {i, j}
-    return [(recording.state_names[i], recording.state_names[j]) for i, j in sorted(pairs)]
-
-
-def memory(recording):
-    """The samples over which the states remember: the lag at which the slowest one's autocorrelation falls below 1/e.
-
-    At most half of the longest trajectory.
-    """
-    longest = sorted((x for x, _ in recording), key=len)[-20:]
-    slowest = 1
-    for x in longest:
-        if len(x) < 4:
-            continue
-        centred = x - x.mean(axis=0)
-        power = np.abs(np.fft.rfft(centred, 2 * len(x), axis=0)) ** 2
-        correlation = np.fft.irfft(power, axis=0)[: len(x) // 2 + 1]
-        below = correlation < np.exp(-1) * correlation[0]
-        lags = np.where(below.any(axis=0), below.argmax(axis=0), len(x) // 2)
-        slowest = max(slowest, int(lags[centred.any(axis=0)].max(initial=1)))
-    return slowest
-
-
-def piece_length(recording, lag):
-    """The samples of a piece, and the sentence that says why.
-
-    Five times the states' `memory`, so that a piece shows the system forgetting where it began; between 26 and 501
-    samples, and short enough for thirty pieces if each still has 26 samples.
-    """
-    wanted = int(np.clip(5 * lag, SHORTEST - 1, LONGEST - 1))
-    longest = int(recording.lengths.max())
-    most = max(recording.pairs // 30, SHORTEST - 1)
-    samples = int(min(wanted, most, longest - 1)) + 1
-    why = f"five times the {lag * recording.dt:.3g} s within which the states forget themselves"
-    if samples - 1 < wanted:
-        why = "so that there are thirty pieces" if most < longest else "the longest trajectory"
-    elif wanted == LONGEST - 1:
-        why = "the longest that is taken"
-    elif wanted == SHORTEST - 1:
-        why = "the shortest that is taken"
-    return samples, f"pieces have {samples} samples ({(samples - 1) * recording.dt:.3g} s; {why})"
-
-
-def partition(recording):
-    """Two recordings, uncut: one to learn from, and a fifth by which nothing is chosen or fitted.
-
-    With five trials or more these are whole trials, every fifth one. Otherwise it is the end of each trial:
-    neighbouring pieces are not independent.
-
-    Returns
-    -------
-    train, test : Recording
-    remark : str
-
-    Raises
-    ------
-    ValueError
-        If there is too little for that.
-    """
-    if len(recording) >= _FEWEST_TRIALS:
-        held = np.arange(len(recording)) % 5 == 2
-        remark = f"{held.sum()} of {len(recording)} trajectories are kept for the test, every fifth one"
-        return recording[~held], recording[held], remark
-    ends = [(len(x), 4 * (len(x) - 1) // 5) for x, _ in recording]
-    if max(length - end for length, end in ends) < 10:
-        raise ValueError(
-            f"the recording has {int(recording.lengths.sum())} samples in {len(recording)} trajectories; to learn from four fifths and test on one it "
-            "needs 50 in one trajectory, or five trajectories: record more."
-        )
-    parts = [(x, u, end) for (x, u), (length, end) in zip(recording, ends) if length - end >= 10]
-    rest = [(x, u) for (x, u), (length, end) in zip(recording, ends) if length - end < 10]
-    first = [(x[: end + 1], u[: end + 1]) for x, u, end in parts] + rest
-    last = [(x[end:], u[end:]) for x, u, end in parts]
-    remark = (
-        "the last fifth of " + ("the recording" if len(recording) == 1 else "each trajectory") + " is kept for the test"
-    )
-    train, test = (recording.with_data(*map(list, zip(*part))) for part in (first, last))
-    return train, test, remark
-
-
-def in_pieces(recording, samples, fewest=10):
-    """Pieces of so many samples; rests and trajectories of fewer than ``fewest`` are left out, if there are others."""
-    pieces = recording.cut_all(samples)
-    return pieces[pieces.lengths >= min(fewest, int(pieces.lengths.max()))]
-
-
-def thinned(pieces, most):
+def thinned(pieces: Recording, most: float) -> Recording:
     """Some of the pieces, spread evenly, with about ``most`` snapshot pairs at most."""
     if pieces.pairs <= most:
         return pieces
@@ -241,7 +184,7 @@ def thinned(pieces, most):
     return pieces[np.unique(np.linspace(0, len(pieces) - 1, count).astype(int))]
 
 
-def is_noisy(recording):
+def is_noisy(recording: Recording) -> bool:
     """Whether the states have noise worth smoothing away."""
     if recording.lengths.max() < 10:
         return False
@@ -249,17 +192,11 @@ def is_noisy(recording):
     return bool((noise_level(recording) > _FINE * span).any())
 
 
-def smoothed(recording, pairs):
+def smoothed(recording: Recording, pairs: list[tuple[str, str]]) -> Recording:
     """`tras.smooth` of a recording of any length, in chunks."""
     parts = [recording[i].cut_all(_CHUNK) for i in range(len(recording))]
-    whole = smooth(join(parts), pairs)
-    states, k = [], 0
+    pieces, states = (x for x, _ in smooth(join(parts), pairs)), []
     for part in parts:
-        pieces = [x for x, _ in whole[k : k + len(part)]]
-        states.append(np.concatenate([pieces[0], *(x[1:] for x in pieces[1:])]))
-        k += len(part)
+        first, *others = (next(pieces) for _ in part)
+        states.append(np.concatenate([first, *(x[1:] for x in others)]))
     return recording.with_data(states, [u for _, u in recording])
-
-
-def _and(names):
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

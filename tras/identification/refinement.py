@@ -1,13 +1,16 @@
 """Fit an identified vector field to whole measured trajectories: multiple shooting, for data with noise."""
 
+import contextlib
 import copy
-import itertools
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import linalg
 from tqdm import tqdm
 
 from tras.identification.noise import noise_level
+from tras.model import KoopmanModel
+from tras.recording import Recording
 from tras.workflow import arguments
 
 _SEGMENTS = (1001, 501, 251, 126, 63)  # samples of a segment, the first of these over which predictions hold
@@ -15,7 +18,10 @@ _TRUST = 1e-3  # noise in half-ranges, at least: a state that is known better wo
 _BLOCK = 128  # segments that are followed at once: bounds the memory of their sensitivities
 
 
-def refine(model, recording, rows=None, iterations=6, segment=None):
+def refine(
+    model: KoopmanModel, recording: Recording, rows: Sequence[str] | None = None, iterations: int = 6,
+    segment: int | None = None,
+) -> KoopmanModel:  # fmt: skip
     """A copy of the model whose vector field is fitted to whole trajectories instead of single steps.
 
     The recording is cut into segments; the field's coefficients W and the initial state of each segment are fitted
@@ -53,13 +59,10 @@ def refine(model, recording, rows=None, iterations=6, segment=None):
     Raises
     ------
     ValueError
-        If the model has no vector field, a name is unknown, a count is wrong, or the model's predictions diverge within
-        a segment.
+        If the model has no vector field, a name is unknown, a count is wrong, or predictions diverge within a segment.
     """
     if getattr(model, "predictor", None) != "vector_field" or not hasattr(model, "W_"):
-        raise ValueError(
-            "refine needs a model with a vector field; fit KoopmanModel(..., predictor='vector_field') first."
-        )
+        raise ValueError("refine needs a model with a vector field; fit KoopmanModel(..., predictor='vector_field').")
     arguments.whole_number("iterations", iterations)
     arguments.whole_number("segment", _SEGMENTS[0] if segment is None else segment, 2)
     recording = model.channels_.matched(recording)
@@ -74,7 +77,7 @@ def refine(model, recording, rows=None, iterations=6, segment=None):
             break
     if not np.isfinite(costs[0]):
         raise ValueError(
-            f"the model's predictions diverge within {samples} samples; give a shorter segment, or a model that does not."
+            f"the model's predictions diverge within {samples} samples; give a shorter segment, or another model."
         )
     for _ in tqdm(range(iterations), desc="refine", leave=False, disable=None):
         W, starts, cost, damping = _descend(shooting, W, starts, costs[-1], damping)
@@ -87,7 +90,7 @@ def refine(model, recording, rows=None, iterations=6, segment=None):
 
 
 def _equations(model, recording, rows):
-    """The indices of the rows of W to refine."""
+    """The indices of the rows of W to refine; see `refine`."""
     names = model.state_names_
     if rows is not None:
         rows = [rows] if isinstance(rows, str) else list(rows)
@@ -106,30 +109,27 @@ def _equations(model, recording, rows):
 
 
 class _Shooting:
-    """Predictions over the segments of a recording, in scaled channels, and their sensitivities.
+    """Predictions over segments, in scaled channels, and their sensitivities to W[rows] (p coefficients) and starts.
 
-    These are to ``W[rows]``, p = rows N coefficients, and to the initial states. Segments of equal length are followed
-    together.
+    Segments of equal length are followed together.
     """
 
     def __init__(self, model, recording, rows, segment):
         self.dictionary, self.rows, self.N = model.dictionary_, rows, model.W_.shape[1]
         self.substeps, self.h = model.substeps_, model.dt_ / model.substeps_
         self.weight = model.x_scale_ / np.maximum(noise_level(recording), _TRUST * model.x_scale_)
-        pieces = [
-            (x[k : k + segment], u[k : k + segment])
-            for x, u in model.channels_.scaled(recording)
-            for k in range(0, len(x) - 1, segment)
-        ]
+        pieces = {}  # length -> segments
+        for x, u in model.channels_.scaled(recording):
+            for k in range(0, len(x) - 1, segment):
+                pieces.setdefault(len(x[k : k + segment]), []).append((x[k : k + segment], u[k : k + segment]))
         self.blocks = []  # [states (samples, n, segments), inputs (samples, m, segments)]
-        for _, group in itertools.groupby(sorted(pieces, key=_length), key=_length):
-            segments = list(group)
+        for _, segments in sorted(pieces.items()):
             for k in range(0, len(segments), _BLOCK):
                 self.blocks.append([np.stack(part, axis=-1) for part in zip(*segments[k : k + _BLOCK])])
         self.numbers = sum(states.size for states, _ in self.blocks)
 
     def settled_starts(self, W):
-        """Initial states (n, segments) of each block: measured, then fitted to longer and longer beginnings."""
+        """Initial states (n, segments) of each block: as measured, then fitted to longer and longer beginnings."""
         starts, brief = [states[0] for states, _ in self.blocks], copy.copy(self)
         brief.rows = []
         for horizon in (8, 32, 128):
@@ -158,9 +158,7 @@ class _Shooting:
 
     def _normal_equations(self, W, z, states, inputs):
         n, count, p = *z.shape, len(self.rows) * self.N
-        S = np.concatenate(
-            [np.zeros((count, n, p)), np.broadcast_to(np.eye(n), (count, n, n))], axis=2
-        )  # dz / d(W[rows], start)
+        S = np.tile(np.eye(n, p + n, p), (count, 1, 1))  # dz / d(W[rows], start)
         Hww, Hwx, Hxx, gw, gx = (np.zeros(shape) for shape in ((p, p), (count, p, n), (count, n, n), p, (count, n)))
         for k, x in enumerate(states):
             if k:
@@ -194,9 +192,8 @@ class _Shooting:
             psi.append(self.dictionary.lift(point))
             k.append(W @ psi[-1])
             if slopes:
-                F.append(
-                    (W @ self.dictionary.lift_slopes(point).reshape(self.N, -1)).reshape(n, n, -1).transpose(2, 0, 1)
-                )
+                by_point = W @ self.dictionary.lift_slopes(point).reshape(self.N, -1)
+                F.append(by_point.reshape(n, n, -1).transpose(2, 0, 1))
         onward = z + h / 6 * (k[0] + 2 * (k[1] + k[2]) + k[3])
         if not slopes:
             return onward, None
@@ -207,40 +204,30 @@ class _Shooting:
         M1 = h / 6 * one + h / 2 * M2 @ F[1]
         M = M1, M2, M3, M4
         by_W = sum(np.einsum("bir,jb->birj", Mi[:, :, self.rows], q) for Mi, q in zip(M, psi))
-        return onward, (
-            one + sum(Mi @ Fi for Mi, Fi in zip(M, F)),
-            by_W.reshape(*F[0].shape[:2], len(self.rows) * self.N),
-        )
-
-
-def _length(piece):
-    return len(piece[0])
+        by_z = one + sum(Mi @ Fi for Mi, Fi in zip(M, F))
+        return onward, (by_z, by_W.reshape(*by_z.shape[:2], len(self.rows) * self.N))
 
 
 def _descend(shooting, W, starts, cost, damping):
     """One step, damped until the cost falls: the new W, initial states, cost and damping, or the old ones."""
     blocks = shooting.linearise(W, starts)
     while damping < 1e8:
-        try:
+        with contextlib.suppress(linalg.LinAlgError):
             step, moves = _solve(blocks, damping)
-        except linalg.LinAlgError:
-            step = None
-        if step is not None:
             onward = W.copy()
             onward[shooting.rows] += step.reshape(-1, shooting.N)
-            moved = [z + move for z, move in zip(starts, moves)]
-            new = shooting.cost(onward, moved)
-            if new < cost:
-                return onward, moved, new, max(damping / 100, 1e-9)
+            new_starts = [z + move for z, move in zip(starts, moves)]
+            new_cost = shooting.cost(onward, new_starts)
+            if new_cost < cost:
+                return onward, new_starts, new_cost, max(damping / 100, 1e-9)
         damping *= 100
     return W, starts, cost, damping
 
 
 def _solve(blocks, damping):
-    """Solve the normal equations, their diagonal enlarged by ``damping`` of itself.
+    """Steps (p,) and, per block, (n, segments): the normal equations, their diagonal enlarged by ``damping`` of it.
 
-    The steps are (p,) and, for each block, (n, segments). Each initial state appears in one segment only, so they are
-    eliminated one by one.
+    Each initial state appears in one segment only, so they are eliminated one by one.
     """
     if not all(np.isfinite(part).all() for block in blocks for part in block):
         raise linalg.LinAlgError("a prediction diverges")
@@ -252,7 +239,5 @@ def _solve(blocks, damping):
         g = g - np.einsum("bpi,bi->p", Hwx @ inverse, gx)
     size = np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
     step = linalg.cho_solve(linalg.cho_factor(H / np.outer(size, size)), g / size) / size if len(g) else g
-    moves = [
-        (inverse @ (gx - step @ Hwx)[:, :, None])[:, :, 0].T for inverse, (_, Hwx, _, _, gx) in zip(inverses, blocks)
-    ]
-    return step, moves
+    rests = [gx - step @ Hwx for _, Hwx, _, _, gx in blocks]
+    return step, [(inverse @ rest[:, :, None])[:, :, 0].T for inverse, rest in zip(inverses, rests)]

@@ -5,13 +5,14 @@ import pandas as pd
 
 from tras import metrics
 from tras.identification.search import roll_outs
+from tras.recording import Recording
 
 CONSTANT, HELD = "mean of the training data", "stays where it is"
 _ONE_STEP = 20_000  # predictions over one sample, at most
 
 
-def compare(models, truth, train, latest):
-    """Metrics of every state over windows, a row a state and prediction.
+def compare(models: dict, truth: Recording, train: Recording, latest: int) -> tuple[pd.DataFrame, dict]:
+    """Metrics of every state over windows, one row per state and prediction.
 
     Parameters
     ----------
@@ -35,10 +36,8 @@ def compare(models, truth, train, latest):
     true = [x[latest:] for x, _ in truth]
     mean = np.concatenate([x for x, _ in train]).mean(axis=0)
     runs = {name: roll_outs(model, starts, latest) for name, (model, starts) in models.items()}
-    runs |= {
-        HELD: [np.repeat(x[:1], len(x), axis=0) for x in true],
-        CONSTANT: [np.repeat(mean[None], len(x), axis=0) for x in true],
-    }
+    runs[HELD] = [np.repeat(x[:1], len(x), axis=0) for x in true]
+    runs[CONSTANT] = [np.repeat(mean[None], len(x), axis=0) for x in true]
     parts = []
     for name, run in runs.items():
         scores = metrics.judge(true, run)
@@ -48,7 +47,7 @@ def compare(models, truth, train, latest):
     return pd.concat(parts, ignore_index=True), runs
 
 
-def growth(runs, truth, latest):
+def growth(runs: dict, truth: Recording, latest: int) -> pd.DataFrame:
     """Root mean square error against the time ahead: ``time`` (s), then one column per prediction.
 
     Over all states in percent of their ranges, and over the windows of full length that did not diverge.
@@ -63,8 +62,8 @@ def growth(runs, truth, latest):
     return pd.DataFrame(table)
 
 
-def typical_and_worst(run, truth, latest):
-    """Indices of two windows of full length: the one with the median error, and the one with the largest, diverged ones included."""
+def typical_and_worst(run: list, truth: Recording, latest: int) -> tuple[int, int]:
+    """Two windows of full length, by index: the one with the median error, and the worst, diverged ones included."""
     true, full, span = _full(truth, latest)
     moving = np.isfinite(span)
     error = np.array([np.nan_to_num(np.mean(((run[k] - true[k]) / span)[:, moving] ** 2), nan=np.inf) for k in full])
@@ -83,14 +82,12 @@ def _full(truth, latest):
 def _one_step(model, starts, truth):
     """NRMSE (%) of predictions over one sample."""
     count = model.delays + 2
-    cut = [
-        (s[k : k + count], u[k : k + count], x[k + count - 1])
-        for (s, u), (x, _) in zip(starts, truth)
-        for k in range(0, len(s) - count + 1, count - 1)
-    ]
-    cut = cut[:: max(1, len(cut) // _ONE_STEP)]
-    pieces = starts.with_data([s for s, _, _ in cut], [u for _, u, _ in cut])
+    parts = []
+    for (s, u), (x, _) in zip(starts, truth):
+        ends = range(count, len(s) + 1, count - 1)
+        parts += [(s[end - count : end], u[end - count : end], x[end - 1 : end]) for end in ends]
+    states, inputs, true = map(list, zip(*parts[:: max(1, len(parts) // _ONE_STEP)]))
     with np.errstate(over="ignore", invalid="ignore"):
-        predicted = np.asarray(model.predict(pieces))[:, -1:]
+        predicted = np.asarray(model.predict(starts.with_data(states, inputs)))[:, -1:]
     span = np.ptp(np.concatenate([x for x, _ in truth]), axis=0)
-    return metrics.judge(np.array([[x] for *_, x in cut]), predicted, span=span).nrmse
+    return metrics.judge(np.array(true), predicted, span=span).nrmse

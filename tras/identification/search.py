@@ -1,11 +1,12 @@
 """Which dictionary, predictor, delays and treatment of noise: candidates judged by roll-outs of held-out trajectories.
 
-`choose` compares the models that it is given. `search`, for `tras.identify`, makes up its own in two rounds, because
-all combinations would take too long: first treatments and delays, with one linear and one nonlinear dictionary each;
-then every dictionary and predictor at the best of these, and without delays.
+`choose` compares the models that it is given. `search`, for `tras.identify`, has two rounds of its own, because all
+combinations take too long: treatments and delays, with a linear and a nonlinear dictionary; then every dictionary and
+predictor at the best of these, and without delays.
 """
 
 import math
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import pandas as pd
@@ -17,7 +18,7 @@ from tras.dictionaries.mechanical import Mechanical
 from tras.dictionaries.monomials import Monomials
 from tras.dictionaries.radial import GaussianRBF
 from tras.fitting import hold_out
-from tras.identification import preparation
+from tras.identification.preparation import Treatments, is_noisy
 from tras.metrics import multi_step_error
 from tras.model import KoopmanModel
 from tras.recording import Recording, join
@@ -28,7 +29,7 @@ _CHANNELS = 60  # at most, earlier samples included
 _CLOSE = 1.1  # errors within ten percent count as equal: the model with fewer functions is then better
 
 
-def candidates(recording, predictor="vector_field", delays=0):
+def candidates(recording: Recording, predictor: str = "vector_field", delays: int = 0) -> list[KoopmanModel]:
     """Models worth trying on a recording of which nothing else is known, the simplest first.
 
     Linear; monomials of degree 2 to 4 and Gaussians on 50 and 200 k-means centres, if they have at most 500 functions
@@ -41,12 +42,11 @@ def candidates(recording, predictor="vector_field", delays=0):
     return [KoopmanModel(dictionary, predictor, delays) for dictionary in dictionaries]
 
 
-def choose(recording, models=None):
+def choose(recording: Recording, models: Iterable | None = None) -> tuple[KoopmanModel, pd.DataFrame]:
     """The best of several models, each fitted to four fifths of the trajectories and judged on the rest.
 
-    The error is that of whole roll-outs of up to 501 samples, which is what a user of the model sees; a candidate that
-    diverges loses by it. Each candidate still chooses its own strength of regularization, on trajectories of its four
-    fifths.
+    The error is that of whole roll-outs of up to 501 samples; a candidate that diverges loses by it. Each candidate
+    still chooses its own strength of regularization, on trajectories of its four fifths.
 
     Parameters
     ----------
@@ -81,39 +81,36 @@ def choose(recording, models=None):
     recording = join(recording)
     models = candidates(recording) if models is None else list(models)
     if not models:
-        raise ValueError(
-            "models holds no candidate; give one or more, for example [tras.KoopmanModel(tras.Monomials(2))]."
-        )
-    train, held = hold_out(recording)
-    if held is None:
+        raise ValueError("models holds no candidate; give one or more: [tras.KoopmanModel(tras.Monomials(2))].")
+    train, windows = hold_out(recording)
+    if windows is None:
         raise ValueError(
             f"the recording has {recording.pairs} snapshot pairs, too few to hold trajectories out for the choice; "
             "record more, or fit one model."
         )
     latest = max(getattr(model, "delays", 0) for model in models)
     table = pd.DataFrame([
-        {"candidate": label(model), **attempt(model, train, held, held, latest), "model": model}
+        {"candidate": label(model), **attempt(model, train, windows, windows, latest), "model": model}
         for model in tqdm(models, desc="choose", leave=False, disable=None)
     ])  # fmt: skip
     table["chosen"] = table.index == best(table).name
     return clone(models[int(table["chosen"].argmax())]).fit(recording), table
 
 
-def search(treatments, samples, *, predictor=None, delays=None, smoothing=None):
+def search(
+    treatments: Treatments, samples: int, *, predictor: str | None = None, delays: Sequence[int] | None = None,
+    smoothing: bool | None = None,
+) -> tuple[pd.DataFrame, list[str]]:  # fmt: skip
     """Candidates for a recording of which nothing else is known, and their errors.
 
     Parameters
     ----------
-    treatments : tras.identification.preparation.Treatments
+    treatments : Treatments
         Of the training trajectories.
     samples : int
         Length of a piece.
-    predictor : str, optional
-        The only one to try.
-    delays : sequence of int, optional
-        The only ones to try.
-    smoothing : bool, optional
-        Whether states are smoothed first. Default: both are tried if the states are noisy.
+    predictor, delays, smoothing
+        As for `tras.identify`.
 
     Returns
     -------
@@ -130,19 +127,22 @@ def search(treatments, samples, *, predictor=None, delays=None, smoothing=None):
         If the recording is too short, or no candidate can be fitted.
     """
     recording, pairs = treatments.recording, treatments.pairs
-    delays = delays_to_try(recording, samples, delays, measured=recording.n == 2 * len(pairs))
+    if delays is None:  # that pieces of so many samples allow; at most one if all velocities are measured
+        most = 1 if recording.n == 2 * len(pairs) else max(DELAYS)
+        most = min((samples - 1) // 4, _CHANNELS // (recording.n + recording.m) - 1, most)
+        delays = [d for d in DELAYS if d == 0 or d <= most]
     latest = max(delays)
     names = ["smoothed"] if smoothing else ["as measured"]
-    if smoothing is None and preparation.is_noisy(recording):
+    if smoothing is None and is_noisy(recording):
         names.append("smoothed")
     parts, remarks = _parts(treatments, names, samples, latest)
     truth = parts["as measured"][1]
-    rows, seen = [], set()
+    rows, keys = [], set()
 
     def attempt_all(number, description, models):
         for name, model in tqdm(models, desc=description, leave=False, disable=None):
-            if (name, repr(model)) not in seen:
-                seen.add((name, repr(model)))
+            if (name, repr(model)) not in keys:
+                keys.add((name, repr(model)))
                 scores = attempt(model, *parts[name], truth, latest)
                 if not scores["failure"]:
                     model = clone(model).set_params(strength=float(scores["strength"]))
@@ -150,7 +150,7 @@ def search(treatments, samples, *, predictor=None, delays=None, smoothing=None):
                 rows.append({"round": number, "states": name, **options, **scores, "model": model})
         return pd.DataFrame(rows)
 
-    first = "one_step" if predictor is None else predictor
+    first = predictor or "one_step"
     models = [(name, model) for name in names for d in delays for model in _first_round(parts[name][0], d, first)]
     leader = best(attempt_all(1, "treatments and delays", models), _CLOSE)
     name = leader["states"]
@@ -161,7 +161,7 @@ def search(treatments, samples, *, predictor=None, delays=None, smoothing=None):
     return table, remarks
 
 
-def attempt(model, train, starts, truth, latest):
+def attempt(model, train: Recording, starts: Recording, truth: Recording, latest: int) -> dict:
     """Fit a copy of one candidate, and judge it by roll-outs over trajectories that it was not fitted to.
 
     Parameters
@@ -192,25 +192,25 @@ def attempt(model, train, starts, truth, latest):
     return {"functions": functions, "strength": getattr(model, "strength_", np.nan), "error": error, "failure": failure}
 
 
-def roll_outs(model, starts, latest):
+def roll_outs(model, starts: Recording, latest: int) -> list[np.ndarray]:
     """Predictions, (samples_i, n) per trajectory, from the sample ``latest`` on, whatever the model's delays."""
     delays = getattr(model, "delays", 0)
     with np.errstate(over="ignore", invalid="ignore"):
         return [x[delays:] for x in model.predict(without_first(starts, latest - delays))]
 
 
-def without_first(recording, samples):
+def without_first(recording: Recording, samples: int) -> Recording:
     """The recording without the first samples of each trajectory."""
     return recording.with_data([x[samples:] for x, _ in recording], [u[samples:] for _, u in recording])
 
 
-def relative_error(true, predicted, half_range):
+def relative_error(true: np.ndarray, predicted: np.ndarray, half_range: np.ndarray) -> float:
     """`tras.metrics.multi_step_error` of roll-outs (trajectories, samples, n), in half-ranges of the states (n,)."""
     scaled = Recording(true / half_range, None, 1.0)
     return multi_step_error((predicted / half_range).transpose(1, 2, 0), scaled, true.shape[-1])
 
 
-def best(table, tolerance=1.0):
+def best(table: pd.DataFrame, tolerance: float = 1.0) -> pd.Series:
     """The row with the fewest functions among those whose error is at most ``tolerance`` times the least."""
     least = table["error"].min()
     if not math.isfinite(least):
@@ -219,28 +219,20 @@ def best(table, tolerance=1.0):
     return table[table["error"] <= tolerance * least].sort_values(["functions", "error"], kind="stable").iloc[0]
 
 
-def delays_to_try(recording, samples, requested=None, *, measured=False):
-    """The delays that pieces of so many samples allow; at most one if all velocities are ``measured``."""
-    if requested is not None:
-        return tuple(requested)
-    most = min((samples - 1) // 4, _CHANNELS // (recording.n + recording.m) - 1, 1 if measured else max(DELAYS))
-    return tuple(d for d in DELAYS if d == 0 or d <= most)
-
-
 def _parts(treatments, names, samples, latest):
     """Treatment, "as measured" among them -> (pieces to fit, windows held out); and remarks on these."""
     train, treatments = treatments.recording, treatments.at_most(2 * SEARCHED)
     names = dict.fromkeys(["as measured", *names])
     parts = {name: hold_out(treatments.pieces(name, samples, latest + 10, SEARCHED)) for name in names}
-    fitted, held = parts["as measured"]
-    if held is None or held.lengths.min() < latest + 5:
+    pieces, windows = parts["as measured"]
+    if windows is None or windows.lengths.min() < latest + 5:
         raise ValueError(
             f"there are {train.pairs} snapshot pairs in {len(train)} trajectories to learn from, too few to hold out "
             f"pieces of {latest + 10} samples for the choice of a model: record more, or try fewer delays."
         )
-    windows = f"{len(held)} held-out pieces of {int(held.lengths[0])} samples"
-    remarks = [f"{fitted.pairs} snapshot pairs for the fits, {windows} for the errors"]
-    pairs = fitted.pairs + held.pairs
+    judge = f"{len(windows)} held-out pieces of {int(windows.lengths[0])} samples"
+    remarks = [f"{pieces.pairs} snapshot pairs for the fits, {judge} for the errors"]
+    pairs = pieces.pairs + windows.pairs
     if pairs < 0.9 * train.pairs:
         amount = f"{pairs} of {train.pairs} snapshot pairs"
         remarks.append(f"the search looks at {amount}, spread evenly; the chosen model is fitted to more")
@@ -258,17 +250,18 @@ def _first_round(train, delays, predictor):
 
 def _second_round(train, delays, pairs, predictor):
     """Models with every dictionary and predictor worth trying, the smallest first."""
-    if predictor is not None:
-        predictors = [predictor]
-    else:  # with delays a vector field could not know the earlier inputs
-        predictors = ["one_step"] if delays and train.m else ["vector_field", "one_step"]
     models = []
-    for each in predictors:
+    # With delays a vector field could not know the earlier inputs.
+    predictors = ["one_step"] if delays and train.m else ["vector_field", "one_step"]
+    for each in [predictor] if predictor else predictors:
         # A field is evaluated several times per sample.
         most = _most(train) if each != "vector_field" else min(150, _most(train))
         dictionaries = _dictionaries(train, delays, each, (1, 2, 3, 4, 5), (30, 100, 250), most)
         if not delays and each != "lifted_linear" and train.n == 2 * len(pairs):
-            dictionaries += _mechanical(train, pairs)
+            # Each position in turn as the one that inertia and gravity depend on.
+            positions, velocities = ([train.state_names.index(name) for name in column] for column in zip(*pairs))
+            shapes = [(degree, [shape]) for degree in (3, 8) for shape in positions[:4]]
+            dictionaries += [Mechanical(degree, positions, velocities, shape) for degree, shape in shapes]
         models += [KoopmanModel(dictionary, each, delays) for dictionary in dictionaries]
     return models
 
@@ -279,13 +272,6 @@ def _dictionaries(recording, delays, predictor, degrees, centres, most):
     monomials = [Monomials(degree) for degree in degrees if degree == 1 or size[degree] <= most]
     counts = [count for count in centres if size[1] + count <= most]
     return monomials + [GaussianRBF(count, width="auto", centres="kmeans") for count in counts]
-
-
-def _mechanical(train, pairs):
-    """`Mechanical` with each position in turn as the one that inertia and gravity depend on."""
-    indices = [(train.state_names.index(position), train.state_names.index(velocity)) for position, velocity in pairs]
-    positions, velocities = (list(column) for column in zip(*indices))
-    return [Mechanical(degree, positions, velocities, [shape]) for degree in (3, 8) for shape in positions[:4]]
 
 
 def _monomials(recording, delays, predictor, degree):

@@ -2,18 +2,19 @@
 
 import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import optimize
 
 from tras.identification.noise import noise_level
-from tras.recording import join
+from tras.recording import Recording, join
 
 _LEAST = 1e-6  # noise in half-ranges, at least: exact data stay as they are, and nothing divides by zero
 _FEWEST = 10  # samples; with fewer, noise and signal cannot be told apart
 
 
-def smooth(recording, pairs=None):
+def smooth(recording: Recording, pairs: Sequence[tuple[str, str]] | None = None) -> Recording:
     """The recording with its states smoothed: their expected values given the whole trajectory, later samples included.
 
     The signal is modelled as white noise integrated three times (a state by itself: two or three times, whichever is
@@ -31,10 +32,6 @@ def smooth(recording, pairs=None):
         together under ``q' = v``, so that each helps the other. The velocity's unit is the position's per second. All
         other states are smoothed one by one.
 
-    Returns
-    -------
-    Recording
-
     Raises
     ------
     ValueError
@@ -43,9 +40,8 @@ def smooth(recording, pairs=None):
     recording = join(recording)
     groups = _groups(recording.state_names, pairs)
     if recording.lengths.max() < _FEWEST:
-        raise ValueError(
-            f"the longest trajectory has {recording.lengths.max()} samples; smoothing needs {_FEWEST} or more."
-        )
+        longest = recording.lengths.max()
+        raise ValueError(f"the longest trajectory has {longest} samples; smoothing needs {_FEWEST} or more.")
     sigma, whole = noise_level(recording), np.concatenate([x for x, _ in recording])
     middle, half_range = (whole.max(axis=0) + whole.min(axis=0)) / 2, np.ptp(whole, axis=0) / 2
     smoothed = [x.copy() for x, _ in recording]
@@ -57,9 +53,8 @@ def smooth(recording, pairs=None):
         scale, offset = half_range[first] / recording.dt**powers, np.where(powers == 0, middle[first], 0.0)
         deviation = np.maximum(sigma[group], _LEAST * half_range[group]) / scale
         measured = [(x[:, group] - offset) / scale for x, _ in recording]
-        _, order, intensity = min(
-            _likeliest(measured, deviation, order) for order in ((2, 3) if len(group) == 1 else (3,))
-        )
+        orders = (2, 3) if len(group) == 1 else (3,)
+        _, order, intensity = min(_likeliest(measured, deviation, order) for order in orders)
         for into, values in zip(smoothed, _smooth(measured, deviation, order, intensity)):
             into[:, group] = values * scale + offset
     return recording.with_data(smoothed, [u for _, u in recording])
@@ -70,18 +65,16 @@ def _groups(names, pairs):
     groups = []
     for pair in pairs or ():
         if isinstance(pair, str) or len(pair) != 2:
-            raise ValueError(
-                f"pairs holds {pair!r}; give pairs of names (position, velocity), for example [('phi', 'phidot')]."
-            )
+            raise ValueError(f"pairs holds {pair!r}; give pairs of names (position, velocity): [('phi', 'phidot')].")
         for name in pair:
             if name not in names:
                 raise ValueError(f"pairs: there is no state {name!r}; there are {', '.join(names)}.")
         groups.append([names.index(name) for name in pair])
-    paired = list(itertools.chain(*groups))
-    for i in paired:
-        if paired.count(i) > 1:
+    indices = list(itertools.chain(*groups))
+    for i in indices:
+        if indices.count(i) > 1:
             raise ValueError(f"pairs: the state {names[i]!r} stands twice; it can be part of one pair only.")
-    return groups + [[i] for i in range(len(names)) if i not in paired]
+    return groups + [[i] for i in range(len(names)) if i not in indices]
 
 
 def _integrated_noise(order):
@@ -94,10 +87,9 @@ def _integrated_noise(order):
 def _filter(measured, deviation, order, intensity):
     """Kalman filter of many trajectories (samples_i, channels) at once; the first channels of the state are measured.
 
-    Returns the predictions (samples, trajectories, order) before each measurement; the innovations (samples,
-    trajectories, channels), zero after a trajectory's end; whether a sample is within its trajectory (samples,
-    trajectories, 1); and for each sample (P, S, K), the covariances of prediction and innovation and the gain. These do
-    not depend on the data, so all trajectories share them, and they settle.
+    Returns predictions (samples, trajectories, order) before each measurement; innovations (samples, trajectories,
+    channels), zero after a trajectory's end; whether a sample is within its trajectory (samples, trajectories, 1); and
+    for each sample (P, S, K), the covariances of prediction and innovation and the gain, the same for all trajectories.
     """
     channels, lengths = len(deviation), np.array([len(y) for y in measured])
     inside = np.arange(lengths.max())[:, None, None] < lengths[:, None]
@@ -128,10 +120,9 @@ def _surprise(measured, deviation, order, intensity):
     """-log likelihood per number, up to a constant, without the first samples: they only say where a motion begins."""
     _, *parts = _filter(measured, deviation, order, intensity)
     innovation, inside, steps = (part[3:] for part in parts)
-    total = sum(
-        np.sum(e * np.linalg.solve(S, e.T).T) + np.sum(here) * np.log(np.linalg.det(S))
-        for e, here, (_, S, _) in zip(innovation, inside, steps)
-    )
+    total = 0
+    for e, here, (_, S, _) in zip(innovation, inside, steps):
+        total += np.sum(e * np.linalg.solve(S, e.T).T) + np.sum(here) * np.log(np.linalg.det(S))
     return total / 2 / np.sum(inside)
 
 
@@ -141,24 +132,20 @@ def _likeliest(measured, deviation, order):
     pieces = [piece for piece in pieces if len(piece) >= _FEWEST]
     pieces = pieces[:: max(1, len(pieces) // 20)]
 
-    def intensity(exponent):
-        return deviation[0] ** 2 * 10.0**exponent
-
     def surprise(exponent):
-        return _surprise(pieces, deviation, order, intensity(exponent))
+        return _surprise(pieces, deviation, order, deviation[0] ** 2 * 10.0**exponent)
 
     grid = np.arange(-22.0, 7.0, 2.0)  # from almost straight lines to no smoothing at all
     best = min(grid, key=surprise)
     optimum = optimize.minimize_scalar(surprise, bounds=(best - 2, best + 2), method="bounded", options={"xatol": 0.02})
-    return optimum.fun, order, intensity(optimum.x)
+    return optimum.fun, order, deviation[0] ** 2 * 10.0**optimum.x
 
 
 def _smooth(measured, deviation, order, intensity):
     """The smoothed measurements, list of (samples_i, channels).
 
-    The backward pass is that of Bryson and Frazier (G. J. Bierman, *Factorization Methods for Discrete Sequential
-    Estimation*, 1977, Ch. X): the same estimate as that of Rauch, Tung and Striebel, without the inverse of a nearly
-    singular covariance.
+    Backward as Bryson and Frazier (G. J. Bierman, *Factorization Methods for Discrete Sequential Estimation*, 1977, Ch.
+    X): the estimate of Rauch, Tung and Striebel, without the inverse of a nearly singular covariance.
     """
     predicted, innovation, _, steps = _filter(measured, deviation, order, intensity)
     A, one = _integrated_noise(order)[0], np.eye(order)

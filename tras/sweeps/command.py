@@ -2,23 +2,24 @@
 
     python -m tras.sweeps.command params/sweeps/dictionaries.yaml --out build/sweep/dictionaries [--scheduler tcp://host:8786]
 
-The folder gets ``table.csv``, ``error.pdf``, .svg, .png and .csv, and ``cache/``. Killed or interrupted, the same command goes on where it was.
+The folder gets ``table.csv``, ``error.pdf``, .svg, .png and .csv, and ``cache/``. Killed or interrupted, the same
+command goes on where it was.
 """
 
 import argparse
-import math
 import signal
 import sys
 from pathlib import Path
 from typing import Annotated, Any
 
+import pandas as pd
 import pydantic
 
-from tras import plotting as figures
+from tras.plotting import save_figure
 from tras.recording import Recording
-from tras.sweeps import figures as figures_sweep
-from tras.sweeps import sweep as sweeps
+from tras.sweeps.figures import COLUMNS, sweep_figure
 from tras.sweeps.grid import DATA, MODEL
+from tras.sweeps.sweep import sweep
 from tras.twin_rotor.closed_loop import simulate_closed_loop
 from tras.twin_rotor.excitation import PITCH_MAX_FREQUENCY, PITCH_PEAK, YAW_MAX_FREQUENCY, YAW_PEAK, multisine
 from tras.workflow.arguments import did_you_mean
@@ -49,12 +50,11 @@ class Simulation(_Strict):
     max_correlation: Positive = 0.05
     seed: Annotated[int, pydantic.Field(ge=0)] = 1
 
-    def recording(self):
+    def recording(self) -> Recording:
         band, peak = [self.pitch_max_frequency, self.yaw_max_frequency], [self.pitch_peak, self.yaw_peak]
-        reference = multisine(
-            self.duration, self.sampling_time, band, peak, self.seed, max_correlation=self.max_correlation
-        )
-        return simulate_closed_loop(reference, self.sampling_time)
+        dt, largest = self.sampling_time, self.max_correlation
+        reference = multisine(self.duration, dt, band, peak, self.seed, max_correlation=largest)
+        return simulate_closed_loop(reference, dt)
 
 
 class Description(_Strict):
@@ -69,11 +69,11 @@ class Description(_Strict):
     window: Positive | None = None
     train_fraction: Annotated[float, pydantic.Field(gt=0, lt=1)] = 0.8
 
-    def arguments(self):
+    def arguments(self) -> dict:
         """Arguments of `tras.sweep`."""
-        given = {name: getattr(self, name) for name in ("states", "inputs", "window", "train_fraction")}
-        held = None if self.held_out is None else self._source("held_out")
-        return {"recording": self._source("recording"), "grid": self.models, "held_out": held, **given}
+        same = {name: getattr(self, name) for name in ("states", "inputs", "window", "train_fraction")}
+        judged_by = None if self.held_out is None else self._source("held_out")
+        return {"recording": self._source("recording"), "grid": self.models, "held_out": judged_by, **same}
 
     def _source(self, name):
         value = getattr(self, name)
@@ -81,13 +81,12 @@ class Description(_Strict):
             return _checked(Simulation, value["simulate"] or {}, f"{name}: simulate: ").recording()
         paths = value if isinstance(value, list) else [value]
         if not paths or not all(isinstance(path, str) for path in paths):
-            raise DescriptionError(
-                f"{name} is {value!r}; give the path of a file, a list of paths, or `simulate: {{duration: 500.0, ...}}`."
-            )
+            remedy = "give the path of a file, a list of paths, or `simulate: {duration: 500.0, ...}`"
+            raise DescriptionError(f"{name} is {value!r}; {remedy}.")
         return paths if self.roles is None else [Recording.read(path, self.roles) for path in paths]
 
 
-def read(path):
+def read(path: str | Path) -> Description:
     """The `Description` in a YAML file.
 
     Raises
@@ -98,90 +97,73 @@ def read(path):
     try:
         content = parse_yaml(Path(path).read_text(encoding="utf-8"), path)
     except (OSError, UnicodeError) as error:
-        raise DescriptionError(
-            f"{path} cannot be read ({getattr(error, 'strerror', None) or error}); check the path."
-        ) from None
+        reason = getattr(error, "strerror", None) or error
+        raise DescriptionError(f"{path} cannot be read ({reason}); check the path.") from None
     except ParameterError as error:
         raise DescriptionError(str(error)) from None
     return _checked(Description, content, f"{path}: ")
 
 
-def _checked(kind, content, place):
+def _checked(kind, content, where):
+    names = ", ".join(kind.model_fields)
     if not isinstance(content, dict):
-        raise DescriptionError(
-            f"{place}it holds {content!r}; write one `name: value` a line, there are {', '.join(kind.model_fields)}."
-        )
+        raise DescriptionError(f"{where}it holds {content!r}; write one `name: value` per line, there are {names}.")
     try:
         return kind(**{str(name): value for name, value in content.items()})
     except pydantic.ValidationError as error:
         problem = error.errors()[0]
         name = ".".join(map(str, problem["loc"]))
         if problem["type"] == "extra_forbidden":
-            raise DescriptionError(f"{place}there is no {name!r}{did_you_mean(name, kind.model_fields)}") from None
+            raise DescriptionError(f"{where}there is no {name!r}{did_you_mean(name, kind.model_fields)}") from None
         if problem["type"] == "missing":
-            raise DescriptionError(f"{place}{name} is missing; there are {', '.join(kind.model_fields)}.") from None
+            raise DescriptionError(f"{where}{name} is missing; there are {names}.") from None
         reason = problem["msg"].removeprefix("Input ")
-        raise DescriptionError(f"{place}{name} is {problem['input']!r}; it {reason}.") from None
+        raise DescriptionError(f"{where}{name} is {problem['input']!r}; it {reason}.") from None
 
 
-def write(table, folder):
+def write(table: pd.DataFrame, folder: Path) -> None:
     """``table.csv`` and, if there is a model, the figure; ten digits, as in all tables behind figures."""
-    with replacing(Path(folder) / "table.csv") as temporary:
-        table.drop(columns="model").to_csv(
-            temporary, index=False, float_format="%.10g", lineterminator="\n", encoding="utf-8"
-        )
+    with replacing(folder / "table.csv") as temporary:
+        table.drop(columns="model").to_csv(temporary, index=False, float_format="%.10g", lineterminator="\n")
     if table["best"].any():
-        shown = table[list(figures_sweep.COLUMNS)]
-        figures.save_figure(figures_sweep.sweep_figure(shown), shown, Path(folder) / "error")
+        shown = table[list(COLUMNS)]
+        save_figure(sweep_figure(shown), shown, folder / "error")
 
 
-def summary(table, folder):
+def summary(table: pd.DataFrame, folder: Path) -> str:
     """What came out, in a few lines."""
     models = table[table["outcome"] == "model"].sort_values("error", kind="stable")
-    lines = [
-        f"{len(table)} fits, {len(models)} with a model, {int((models['diverged'] > 0).sum())} of these with windows that diverged"
-    ]
+    diverged = int((models["diverged"] > 0).sum())
+    lines = [f"{len(table)} fits, {len(models)} with a model, {diverged} of these with windows that diverged"]
     varied = [name for name in (*MODEL, *DATA) if name != "dictionary" and table[name].nunique(dropna=False) > 1]
     for _, row in models.head(3).iterrows():
-        options = "".join(f", {name} {_said(name, row[name])}" for name in varied)
-        lines.append(
-            f"  error {row['error']:.3g} of the half-range: {row['dictionary']}, N = {row['functions']:.0f}{options}"
-        )
+        options = "".join(f", {name} {_spelled(name, row[name])}" for name in varied)
+        dictionary = f"{row['dictionary']}, N = {row['functions']:.0f}"
+        lines.append(f"  error {row['error']:.3g} of the half-range: {dictionary}{options}")
     if models.empty:
         lines.append(f"  none has a model; the first because: {table['outcome'].iloc[0]}")
-    return "\n".join([*lines, f"{Path(folder) / 'table.csv'}"])
+    return "\n".join([*lines, f"{folder / 'table.csv'}"])
 
 
-def _said(name, value):
-    missing = value is None or (isinstance(value, float) and math.isnan(value))
-    return (
-        ("all" if name == "seconds" else "none")
-        if missing
-        else f"{value:g}"
-        if isinstance(value, float)
-        else str(value)
-    )
+def _spelled(name, value):
+    if pd.isna(value):
+        return "all" if name == "seconds" else "none"
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def main(arguments=None):
-    """Command line; returns the exit status: 0, 1 (no model, or data, scheduler or disk failed), 2 (the call was wrong), 130 (interrupted)."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tras.sweeps.command", description="Fit and judge every point of a grid."
-    )
-    parser.add_argument("description", type=Path, help="YAML file, for example params/sweeps/dictionaries.yaml")
-    parser.add_argument("--out", type=Path, help="folder for table, figure and cache (default: build/sweep/NAME)")
-    parser.add_argument(
-        "--scheduler",
-        default="processes",
-        help="'processes' (default), 'none', or the address of a Dask scheduler: tcp://host:8786",
-    )
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns 0, 1 (no model, or data, scheduler or disk failed), 2 (a wrong call) or 130 (Ctrl-C)."""
+    parser = argparse.ArgumentParser("python -m tras.sweeps.command", description="Fit every point of a grid.")
+    add, addresses = parser.add_argument, "'processes' (default), 'none', or that of a Dask scheduler: tcp://host:8786"
+    add("description", type=Path, help="YAML file, for example params/sweeps/dictionaries.yaml")
+    add("--out", type=Path, help="folder for table, figure and cache (default: build/sweep/NAME)")
+    add("--scheduler", default="processes", help=addresses)
     options = parser.parse_args(arguments)
     folder = options.out or Path("build") / "sweep" / options.description.stem
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # leave as after Ctrl-C
     try:
-        given = read(options.description).arguments()
         scheduler = None if options.scheduler == "none" else options.scheduler
-        table = sweeps.sweep(**given, scheduler=scheduler, cache=folder / "cache")
+        table = sweep(**read(options.description).arguments(), scheduler=scheduler, cache=folder / "cache")
         write(table, folder)
     except KeyboardInterrupt as interrupt:
         print(str(interrupt) or "interrupted; sweep again to go on.", file=sys.stderr)

@@ -24,45 +24,44 @@ class Point(NamedTuple):
     every: int
     split_seed: int
 
-    def options(self):
+    def options(self) -> dict:
         """All options as a dict, the dictionary in a line of text."""
         model = {name: getattr(self.model, name) for name in MODEL}
         return {**model, "dictionary": label(self.model.dictionary), **{name: getattr(self, name) for name in DATA}}
 
-    def identity(self):
+    def identity(self) -> dict:
         """All that its result depends on beside the data, as JSON holds it."""
         return {"model": spelled(self.model), **{name: getattr(self, name) for name in DATA}}
 
 
-def points(grid):
+def points(grid) -> list[Point]:
     """Every combination of a grid, or of several, once and in order.
 
     Parameters
     ----------
     grid : dict, KoopmanModel, or a list of these
-        Option -> value or list of values. Options are the parameters of `KoopmanModel`, and ``seconds``, ``every`` and ``split_seed`` of
-        `tras.sweep`. Dictionaries are objects, or as YAML has them: ``"Mechanical"``, ``{"Monomials": {"degree": [1, 2]}}`` (lists are values to
-        combine; a parameter that is itself a list stands in one of its own) or ``{"Union": [..., ...]}``.
+        Option -> value or list of values. Options are the parameters of `KoopmanModel`, and ``seconds``, ``every`` and
+        ``split_seed`` of `tras.sweep`. Dictionaries are objects, or as YAML has them: ``"Mechanical"``, ``{"Monomials":
+        {"degree": [1, 2]}}`` (lists are values to combine; a parameter that is itself a list stands in another one) or
+        ``{"Union": [..., ...]}``.
 
     Raises
     ------
     ValueError
         On an unknown option, dictionary or parameter, or a value that is none.
     """
-    parts = grid if isinstance(grid, (list, tuple)) else [grid]
-    found = {}
-    for part in parts:
+    every = {}
+    for part in grid if isinstance(grid, (list, tuple)) else [grid]:
         if isinstance(part, KoopmanModel):
             part = part.get_params(deep=False)
         if not isinstance(part, dict):
-            raise ValueError(
-                f"grid holds {part!r}; give a dict option -> list of values, a KoopmanModel, or a list of these."
-            )
+            remedy = "give a dict option -> list of values, a KoopmanModel, or a list of these"
+            raise ValueError(f"grid holds {part!r}; {remedy}.")
         for point in _combinations(part):
-            found.setdefault(str(point.identity()), point)
-    if not found:
+            every.setdefault(str(point.identity()), point)
+    if not every:
         raise ValueError("grid is empty; give at least {'dictionary': [...]}.")
-    return list(found.values())
+    return list(every.values())
 
 
 def _combinations(part):
@@ -76,9 +75,12 @@ def _combinations(part):
     for combination in itertools.product(*values.values()):
         options = dict(zip(values, combination))
         data = {name: options.pop(name, default) for name, default in DATA.items()}
-        _check_data(**data)
-        options["dictionary"] = clone(options["dictionary"])
-        model = KoopmanModel(**options)
+        if data["seconds"] is not None:
+            length = "the length of the training data in s, or None for all"
+            arguments.number("grid: seconds", data["seconds"], 0, ends=False, give=length)
+        arguments.whole_number("grid: every", data["every"])
+        arguments.whole_number("grid: split_seed", data["split_seed"], 0)
+        model = KoopmanModel(**options | {"dictionary": clone(options["dictionary"])})
         try:
             model.check_options()
         except ValueError as error:
@@ -86,36 +88,30 @@ def _combinations(part):
         yield Point(model, **data)
 
 
-def dictionaries(spec):
+def dictionaries(spec) -> list[Dictionary]:
     """Dictionaries that an object, a name, or a mapping of a name to parameters stands for; see `points`."""
     if isinstance(spec, Dictionary):
         return [spec]
-    name, parameters = (
-        (spec, {})
-        if isinstance(spec, str)
-        else next(iter(spec.items()))
-        if isinstance(spec, dict) and len(spec) == 1
-        else (None, None)
-    )
-    if name is None:
-        raise ValueError(
-            f"grid: dictionary is {spec!r}; give one such as tras.Monomials(2), in YAML {{Monomials: {{degree: 2}}}}."
-        )
+    if isinstance(spec, str):
+        spec = {spec: {}}
+    if not isinstance(spec, dict) or len(spec) != 1:
+        remedy = "give one such as tras.Monomials(2), in YAML {Monomials: {degree: 2}}"
+        raise ValueError(f"grid: dictionary is {spec!r}; {remedy}.")
+    ((name, parameters),) = spec.items()
     if name not in KINDS:
         raise ValueError(f"grid: there is no dictionary {name!r}{did_you_mean(name, KINDS)}")
     if name in ("Union", "Product"):
         if not isinstance(parameters, list) or not parameters:
             raise ValueError(f"grid: {name} has {parameters!r}; give a list of dictionaries.")
         return [KINDS[name](*map(clone, parts)) for parts in itertools.product(*map(dictionaries, parameters))]
-    if not isinstance(parameters or {}, dict):
-        raise ValueError(
-            f"grid: {name} has {parameters!r}; give its parameters by name, for example {{{name}: {{...}}}}."
-        )
+    parameters = parameters or {}
+    if not isinstance(parameters, dict):
+        raise ValueError(f"grid: {name} has {parameters!r}; give its parameters by name: {{{name}: {{...}}}}.")
     known = KINDS[name]().get_params(deep=False)
-    for parameter in parameters or {}:
+    for parameter in parameters:
         if parameter not in known:
             raise ValueError(f"grid: {name} has no parameter {parameter!r}{did_you_mean(parameter, known)}")
-    values = {parameter: _values(f"{name}: {parameter}", value) for parameter, value in (parameters or {}).items()}
+    values = {parameter: _values(f"{name}: {parameter}", value) for parameter, value in parameters.items()}
     return [KINDS[name](**dict(zip(values, combination))) for combination in itertools.product(*values.values())]
 
 
@@ -124,12 +120,3 @@ def _values(option, value):
     if not values:
         raise ValueError(f"grid: {option} has no value; give one or more.")
     return values
-
-
-def _check_data(seconds, every, split_seed):
-    if seconds is not None:
-        arguments.number(
-            "grid: seconds", seconds, 0, ends=False, give="the length of the training data in s, or None for all"
-        )
-    arguments.whole_number("grid: every", every)
-    arguments.whole_number("grid: split_seed", split_seed, 0)

@@ -1,4 +1,4 @@
-"""One fit of a sweep (`tras.sweep`): its data made ready, the model identified, judged on windows that it has not seen."""
+"""One fit of a sweep (`tras.sweep`): its data made ready, the model fitted, judged on windows that it has not seen."""
 
 import functools
 import hashlib
@@ -15,6 +15,7 @@ from tras.io import formats
 from tras.large.slices import RecordingFile, UnreadableError
 from tras.recording import Recording, join, require_alike
 from tras.solver.threads import one_blas_thread
+from tras.sweeps.grid import Point
 
 
 class File(NamedTuple):
@@ -25,84 +26,83 @@ class File(NamedTuple):
 
 
 class Data(NamedTuple):
-    """What all points are fitted to and judged on; ``train`` and ``held`` are tuples of `File` or of `Recording`, ``held`` may be None."""
+    """What all points are fitted to and judged on."""
 
-    train: tuple
-    held: tuple | None
+    train: tuple  # of `File` or `Recording`
+    held_out: tuple | None
     states: tuple | None
     inputs: tuple | None
     window: float  # s
     fraction: float
 
 
-def file(path):
-    """The `File` at a path.
-
-    Raises
-    ------
-    FileNotFoundError, ValueError
-        If there is none, or it cannot be read.
-    """
+def file(path: str | Path) -> File:
+    """The `File` at a path; a FileNotFoundError or ValueError if there is none, or it cannot be read."""
     path = formats.known(path).resolve()
     return File(str(path), _digest(path))
 
 
-def evaluate(data, latest, point):
-    """Fit and judge a `tras.sweeps.grid.Point`: a dict that JSON holds, of which ``outcome`` is "model" or begins with "no model" or "no result".
+def evaluate(data: Data, latest: int, point: Point) -> dict:
+    """Fit and judge a `Point`: a dict that JSON holds.
 
-    Predictions begin at the sample ``latest``, the same for all points. BLAS has one thread, so that every worker gives the same bits.
+    Its ``outcome`` is "model" or begins with "no model" or "no result". Predictions begin at the sample ``latest``, the
+    same for all points. BLAS has one thread, so that every worker gives the same bits.
     """
-    train, held = prepared(data, point.seconds, point.every, point.split_seed)
+    train, windows = prepared(data, point.seconds, point.every, point.split_seed)
     model = clone(point.model)
     try:
         with np.errstate(all="ignore"), one_blas_thread():  # what runs away is counted, not warned of
             model.fit(train, progress=False)
-            true, predicted = held.states[:, latest:], np.stack(search.roll_outs(model, held, latest))
+            true, predicted = windows.states[:, latest:], np.stack(search.roll_outs(model, windows, latest))
     except UnreadableError:
         raise  # no other point will do better
     except MemoryError:
         return {"outcome": "no result: out of memory"}
     except (ValueError, np.linalg.LinAlgError) as error:
         return {"outcome": f"no model: {' '.join(str(error).split())}"}
-    span = np.ptp(held.states, axis=(0, 1))
+    span = np.ptp(windows.states, axis=(0, 1))
     scores = metrics.judge(true, predicted, span=span)
     return {
-        "outcome": "model", "functions": len(model.names_), "pairs": int(model.pairs_), "condition": float(model.condition_number),
-        "strength_used": float(model.strength_), "error": search.relative_error(true, predicted, span / 2),
+        "outcome": "model", "functions": len(model.names_), "pairs": int(model.pairs_),
+        "condition": float(model.condition_number), "strength_used": float(model.strength_),
+        "error": search.relative_error(true, predicted, span / 2),
         "nrmse": scores.nrmse.tolist(), "windows": scores.windows, "diverged": scores.diverged,
     }  # fmt: skip
 
 
-def prepared(data, seconds, every, split_seed):
+def prepared(data: Data, seconds: float | None, every: int, split_seed: int) -> tuple:
     """(what a model is fitted to, the windows it is judged on), as the options say.
 
-    Files that are neither split nor changed are left to `KoopmanModel.fit`, which reads those larger than memory in pieces.
+    Files that are neither split nor changed are left to `KoopmanModel.fit`, which reads large ones in pieces.
 
     Raises
     ------
     ValueError
         If the data are too short for the options, differ in their channels, or a held-out state is constant.
     """
-    if data.held is None:
-        windows = _windows(_thinned(_together(data.train, data.states, data.inputs), every), data.window)
-        train, held = windows.split(data.fraction, split_seed)
+    channels = data.states, data.inputs
+    windows = _thinned(_together(data.train if data.held_out is None else data.held_out, *channels), every)
+    try:
+        windows = windows.cut(round(data.window / windows.dt) + 1)
+    except ValueError as error:
+        raise ValueError(f"window = {data.window:g} s at {windows.dt:g} s per sample: {error}") from None
+    if data.held_out is None:
+        train, windows = windows.split(data.fraction, split_seed)
     else:
-        held = _windows(_thinned(_together(data.held, data.states, data.inputs), every), data.window)
         if seconds is None and every == 1:
-            train = [_opened(source).select(states=data.states, inputs=data.inputs) for source in data.train]
+            train = [opened(source).select(states=data.states, inputs=data.inputs) for source in data.train]
         else:
-            train = _thinned(_together(data.train, data.states, data.inputs), every)
+            train = _thinned(_together(data.train, *channels), every)
         for i, other in enumerate(train if isinstance(train, list) else [train]):
-            require_alike(held, other, i)
-    still = np.ptp(held.states, axis=(0, 1)) == 0
-    if still.any():
-        raise ValueError(
-            f"the held-out state {held.state_names[int(np.argmax(still))]!r} is constant, so there is no range to relate errors to; leave it out."
-        )
-    return train if seconds is None else _first(train, seconds), held
+            require_alike(windows, other, i)
+    for name, span in zip(windows.state_names, np.ptp(windows.states, axis=(0, 1))):
+        if span == 0:
+            fault = f"the held-out state {name!r} is constant, so there is no range to relate errors to"
+            raise ValueError(f"{fault}; leave it out.")
+    return train if seconds is None else _first(train, seconds), windows
 
 
-def _opened(source):
+def opened(source: File | Recording) -> Recording | RecordingFile:
     """A recording, or a file of one that is read in pieces if it can be."""
     if isinstance(source, Recording):
         return source
@@ -122,7 +122,7 @@ def _together(sources, states, inputs):
     return join(recordings)
 
 
-def forget():
+def forget() -> None:
     """Let go of the recordings that are kept from one point to the next."""
     _together.cache_clear()
 
@@ -134,25 +134,20 @@ def _require_unchanged(source):
         same = _digest(Path(source.path)) == source.digest
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
+        remedy = "put it where every worker sees it under this path, or give a Recording"
         raise ValueError(
-            f"{source.path} cannot be read by a worker on {platform.node()} ({reason}); put it where every worker sees it under this path, or give a Recording."
+            f"{source.path} cannot be read by a worker on {platform.node()} ({reason}); {remedy}."
         ) from None
     if not same:
         raise ValueError(
-            f"{source.path} as seen by a worker on {platform.node()} is not what it was when the sweep began; make them the same, and sweep again."
+            f"{source.path} as seen by a worker on {platform.node()} is not what it was when the sweep began; "
+            "make them the same, and sweep again."
         )
 
 
 def _digest(path):
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def _windows(recording, window):
-    try:
-        return recording.cut(round(window / recording.dt) + 1)
-    except ValueError as error:
-        raise ValueError(f"window = {window:g} s at {recording.dt:g} s a sample: {error}") from None
 
 
 def _thinned(recording, every):
