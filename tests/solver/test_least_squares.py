@@ -89,6 +89,21 @@ def columnwise(K, exact):
     return (np.abs(K - exact).max(axis=0) / np.abs(exact).max(axis=0)).max()
 
 
+def rounding_error(fit):
+    """How far rounding of the regressors' last bits alone moves the coefficients, relative to the largest.
+
+    First-order perturbation of least squares (P.-A. Wedin, BIT 13, 1973, 217) under independent errors of the entries:
+    the standard deviation of the worst coefficient. No algorithm is better than that.
+    """
+    norms = np.linalg.norm(fit.R, axis=0)
+    inverse = np.linalg.inv(fit.R / norms)
+    rough = np.linalg.norm(inverse, axis=1)[:, None]
+    along = rough * np.linalg.norm(fit.coefficients * norms[:, None], axis=0) / fit.rows**0.5
+    across = np.linalg.norm(inverse @ inverse.T, axis=1)[:, None] * fit.residual
+    error = np.finfo(float).eps / 12**0.5 * np.hypot(along, across) / norms[:, None]
+    return (error.max(axis=0) / np.abs(fit.coefficients).max(axis=0)).max()
+
+
 def exact_solution(X, Y):
     """Normal equations in rational arithmetic."""
     X = [[Fraction(v) for v in row] for row in X.tolist()]
@@ -167,9 +182,7 @@ def test_scales_of_columns_do_not_matter():
         plain.scaled_condition_number, rel=1e-8
     )
     assert columnwise(scaled.coefficients * factors[:, None], plain.coefficients) <= 1e-12
-    assert scaled.rank == 40
-    assert np.max(plain.rounding_error) < 1e-14
-    assert scaled.rank == plain.rank == 40 and np.all(scaled.rounding_error < 1e-14)
+    assert scaled.rank == plain.rank == 40 and max(rounding_error(plain), rounding_error(scaled)) < 1e-14
 
 
 @pytest.mark.parametrize("size", [1e-6, 1e-9])
@@ -181,7 +194,7 @@ def test_nearly_dependent_columns(size):
     Y = X @ rng.normal(size=(12, 2)) + rng.normal(size=(10000, 2))
     fit = least_squares((X[k::5], Y[k::5]) for k in range(5))
     error = columnwise(fit.coefficients, extended(X, Y, fit.R)[0])
-    assert fit.rank == 12 and error <= 1e-15 / size and error <= 10 * np.max(fit.rounding_error)
+    assert fit.rank == 12 and error <= 1e-15 / size and error <= 10 * rounding_error(fit)
 
 
 def test_condition_number_and_triangular_factor_against_numpy():
@@ -225,10 +238,10 @@ def test_dependent_columns_are_found_and_named(kind, units):
     X = X * np.geomspace(1, units, 8)
     Y = X @ np.ones((8, 1))
     fit = StreamingLeastSquares().update(X, Y).solve([f"f{j}" for j in range(8)])
-    assert fit.rank == 7 and np.isinf(fit.rounding_error).all()
+    assert fit.rank == 7
     with pytest.raises(
         ValueError,
-        match="8 functions are linearly dependent on this data .numerical rank 7; .*truncated or regularised",
+        match="8 functions are linearly dependent on this data .numerical rank 7; .*truncated or regularized",
     ) as caught:
         _ = fit.coefficients
     named = set(str(caught.value).split("rank 7; ")[1].split(" take part")[0].split(", "))
@@ -307,7 +320,7 @@ def test_a_store_between_changes_no_bit(rows, stored_after):
             solver.update(X[600 * k : 600 * (k + 1)], Y[600 * k : 600 * (k + 1)])
         if k + 1 == stored_after:
             stored = StreamingLeastSquares.from_state(stored.state())
-            assert sum(len(x) for x, _ in stored._waiting) == 600 * ((k + 1) % 7)
+            assert len(stored.state()["waiting_regressors"]) == 600 * ((k + 1) % 7)
     assert np.array_equal(straight.solve().coefficients, stored.solve().coefficients)
     assert np.array_equal(straight.solve().R, stored.solve().R)
 
@@ -343,7 +356,7 @@ def test_merged_solvers_are_as_good_as_one(kind, common):
     assert fit.rows == len(X) and fit.rank == 10
     # Where rows are of very different kinds one solver, too, is worse than rounding of the regressors alone would make it.
     assert columnwise(fit.coefficients, exact) <= 10 * max(
-        np.max(straight.rounding_error), columnwise(straight.coefficients, exact)
+        rounding_error(straight), columnwise(straight.coefficients, exact)
     )
     assert np.allclose(fit.residual, straight.residual, rtol=1e-10)
     # ... and more rows may follow.
@@ -504,7 +517,7 @@ def test_leading_bits_are_multiplied_exactly_only_where_terms_cancel():
         Y = np.sin(X[:, :2])
         solver = StreamingLeastSquares().update(X, Y)
         fit = solver.solve()
-        outcome[size] = solver._basis.exact, columnwise(fit.coefficients, extended(X, Y, fit.R)[0])
+        outcome[size] = solver.basis.exact, columnwise(fit.coefficients, extended(X, Y, fit.R)[0])
     assert outcome[1e-4] == (6, pytest.approx(0, abs=1e-11)) and outcome[1e-9] == (4, pytest.approx(0, abs=1e-6))
 
 
@@ -576,11 +589,11 @@ def test_a_basis_is_judged_when_its_sample_is_in_and_renewed_when_rows_leave_its
     blocks = [(X[k : k + 4100], X[k : k + 4100] @ np.ones((300, 1))) for k in range(0, len(X), 4100)]
     lift = lambda block: (block[0].copy(order="F"), block[1])  # noqa: E731
     solver = StreamingLeastSquares().update_lifted(blocks[:4], lift)
-    basis = solver._basis
+    basis = solver.basis
     assert basis.same_as(Sketch(300).add(X[:4100]).add(X[4100:8200]).basis())
-    assert solver.emptied().update_lifted(blocks[:1], lift)._basis is basis
+    assert solver.emptied().update_lifted(blocks[:1], lift).basis is basis
     for other in (solver.emptied(), solver):
-        assert other.update_lifted(blocks[4:], lift)._basis is not basis
+        assert other.update_lifted(blocks[4:], lift).basis is not basis
         assert np.allclose(other.solve().coefficients, 1, rtol=0, atol=1e-9)
 
 
@@ -609,13 +622,13 @@ def test_more_blocks_make_the_first_basis_where_one_is_few_rows(alone):
     for solver in solvers[1:]:
         assert all(np.array_equal(value, solvers[0].state()[key]) for key, value in solver.state().items())
     seen = Sketch(300).add(X[:4100]).add(X[4100:8200]).basis()
-    assert seen.same_as(solvers[0]._basis)
+    assert seen.same_as(solvers[0].basis)
     fit = solvers[0].solve()
     exact = extended(X, Y, fit.R)[0]
     QR = linalg.lstsq(X, Y)[0]
     assert fit.rows == len(X) and columnwise(fit.coefficients, exact) <= 3 * columnwise(QR, exact)
     again = solvers[0].emptied().update_lifted(blocks[2:], lift)
-    assert again._basis is solvers[0]._basis and again.rows == 3 * 4100
+    assert again.basis is solvers[0].basis and again.rows == 3 * 4100
 
 
 def test_a_first_block_that_is_all_there_is():

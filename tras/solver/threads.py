@@ -10,8 +10,8 @@ _MOST = 8  # threads of a fit; each has a panel of rows of its own
 
 
 def processors():
-    """Threads that a fit takes unless told otherwise: one per processor that this process may use; one in a process among others, which share them."""
-    if parent_process() is not None:
+    """Threads that a fit takes by default: one per processor that this process may use; one in a child process."""
+    if parent_process() is not None:  # one among others, which share the processors
         return 1
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min(usable, _MOST)
