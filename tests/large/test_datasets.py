@@ -1,4 +1,4 @@
-"""xarray's datasets, with chunks of Dask or without: read in slices, with the bits of the file, by one process or many workers."""
+"""xarray's datasets, with chunks of Dask or without: read in slices, with the bits of the file, by any worker."""
 
 import pickle
 import tracemalloc
@@ -16,7 +16,7 @@ OPENED = [{}, {"chunks": {}}, {"chunks": {"sample": 700}}]
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
-    """Trajectories of unequal lengths, two states and an input, the inputs' names before the states' in the alphabet."""
+    """Trajectories of unequal lengths; the input's name is before those of the two states in the alphabet."""
     rng = np.random.default_rng(4)
     lengths = [4001, 2, 2600]
     x = [np.cumsum(rng.normal(size=(n, 2)), axis=0) * 0.01 for n in lengths]

@@ -18,7 +18,7 @@ from tras.solver.basis import Sketch, powers_of_two
 from tras.solver.least_squares import StreamingLeastSquares, least_squares, panels_of_a_basis
 from tras.solver.threads import one_blas_thread
 
-# ------------------------------------------------------------------------------------------- the reference: double-double arithmetic
+# ------------------------------------------------------------------------------ the reference: double-double arithmetic
 
 
 def two_sum(a, b):
@@ -50,7 +50,7 @@ def slices(A, axis, bits, count):
 
 
 def product(A, x):
-    """A @ (high, low), every product of slices exact (K. Ozaki et al., Numer. Algorithms 59, 2012, 95), about 100 bits."""
+    """A @ (high, low), every product of slices exact (K. Ozaki et al., Numer. Algorithms 59, 2012, 95): 100 bits."""
     bits = int((53 - np.ceil(np.log2(max(A.shape[1], 2)))) // 2)
     high = slices(x[0], 0, bits, 5)
     parts = [(depth, part) for depth, part in enumerate(high)] + [
@@ -65,7 +65,7 @@ def product(A, x):
 
 
 def extended(X, Y, R, chunk=4096, most=25):
-    """``min |X Z - Y|`` for the given doubles, good to double precision and better: refinement with residuals in double-double.
+    """``min |X Z - Y|``, good to double precision and better: refinement with residuals in double-double.
 
     ``R`` is any triangular factor of X; it decides how fast, not how accurately, the refinement ends.
     """
@@ -122,7 +122,7 @@ def exact_solution(X, Y):
 
 
 def test_the_reference_itself_against_rational_numbers():
-    """Vandermonde, condition 4e8, in 60 rows: double-double is right beyond the last bit, ours to 1e-10 of the largest."""
+    """Vandermonde, condition 4e8, in 60 rows: double-double is right beyond the last bit, ours to 1e-10."""
     rng = np.random.default_rng(5)
     X = np.vander(rng.uniform(0.5, 1, 60), 9, increasing=True)
     Y = np.exp(X[:, 1:3]) + 1e-3 * rng.normal(size=(60, 2))
@@ -136,7 +136,7 @@ def test_the_reference_itself_against_rational_numbers():
     assert columnwise(least_squares([(X, Y)]).coefficients, high) <= 1e-10
 
 
-# ------------------------------------------------------------------------------------------------------------------- accuracy
+# ------------------------------------------------------------------------------------------------------------- accuracy
 
 
 @pytest.fixture(scope="module")
@@ -173,7 +173,7 @@ def test_degree_4_on_reference_driven_data_within_1e_8_of_extended_precision(clo
 
 
 def test_scales_of_columns_do_not_matter():
-    """Columns between 1e-8 and 1e8, condition 1e16 as given: each column's relative accuracy is that of the unscaled problem."""
+    """Columns between 1e-8 and 1e8, condition 1e16: each has the relative accuracy of the unscaled problem."""
     rng = np.random.default_rng(0)
     X, factors = rng.normal(size=(20000, 40)) + 1.0, 10.0 ** rng.uniform(-8, 8, 40)
     Y = np.sin(X[:, :3])
@@ -187,7 +187,7 @@ def test_scales_of_columns_do_not_matter():
 
 @pytest.mark.parametrize("size", [1e-6, 1e-9])
 def test_nearly_dependent_columns(size):
-    """Two columns apart by ``size``: against extended precision, and within a few of the rounding error that is reported."""
+    """Two columns apart by ``size``: against extended precision, and within a few of the rounding error."""
     rng = np.random.default_rng(0)
     X = rng.normal(size=(10000, 12))
     X[:, 7] = X[:, 3] + size * X[:, 7]
@@ -209,7 +209,7 @@ def test_condition_number_and_triangular_factor_against_numpy():
         assert np.allclose(fit.R * np.sign(np.diag(fit.R))[:, None], R * signs, rtol=1e-8, atol=1e-10 * np.abs(R).max())
 
 
-# ------------------------------------------------------------------------------------------------------------------------ rank
+# ----------------------------------------------------------------------------------------------------------------- rank
 
 
 def dependent(kind):
@@ -277,7 +277,7 @@ def test_the_model_names_functions_by_their_channels(experiment):
         tras.KoopmanModel(Twice(2), "one_step", regularization=None).fit(doubled)
 
 
-# ------------------------------------------------------------------------------------------------------------------- streaming
+# ------------------------------------------------------------------------------------------------------------ streaming
 
 
 @pytest.fixture(scope="module")
@@ -328,7 +328,7 @@ def test_a_store_between_changes_no_bit(rows, stored_after):
 @pytest.mark.parametrize("common", [False, True])
 @pytest.mark.parametrize("kind", ["alike", "scales", "directions", "degenerate"])
 def test_merged_solvers_are_as_good_as_one(kind, common):
-    """Four solvers of rows of one kind or of very different ones, against extended precision; condition 1e7 and more."""
+    """Four solvers of rows of one kind or of different ones, against extended precision; condition 1e7 and more."""
     rng = np.random.default_rng(2)
     X = np.vander(rng.uniform(0.2, 1, 24_000), 10, increasing=True)
     parts = np.array_split(np.arange(len(X)), 4)
@@ -354,7 +354,8 @@ def test_merged_solvers_are_as_good_as_one(kind, common):
     fit, straight = merged.solve(), least_squares([(X, Y)])
     exact = extended(X, Y, straight.R)[0]
     assert fit.rows == len(X) and fit.rank == 10
-    # Where rows are of very different kinds one solver, too, is worse than rounding of the regressors alone would make it.
+    # Where rows are of very different kinds one solver, too, is worse than rounding of the regressors alone would make
+    # it.
     assert columnwise(fit.coefficients, exact) <= 10 * max(
         rounding_error(straight), columnwise(straight.coefficients, exact)
     )
@@ -464,7 +465,7 @@ def test_memory_does_not_grow_with_the_rows():
     assert peak(200_000) <= 1.1 * peak(20_000)
 
 
-# ------------------------------------------------------------------------------------------------------------------ by threads
+# ----------------------------------------------------------------------------------------------------------- by threads
 
 
 @pytest.fixture(scope="module")
@@ -524,7 +525,7 @@ def test_leading_bits_are_multiplied_exactly_only_where_terms_cancel():
 @pytest.mark.parametrize("overwrite", [False, True])
 @pytest.mark.parametrize("first", [0, 3, 29])
 def test_rows_in_the_basis_against_extended_precision(first, overwrite):
-    """Columns that depend on each other to 1e-10 from ``first`` on: errors in B are those of the trailing bits alone, a thousandth of a plain product's."""
+    """Columns that are dependent to 1e-10 from ``first`` on: errors in B are a thousandth of a plain product's."""
     rng = np.random.default_rng(7)
     X = rng.normal(size=(500, 30))
     X[:, first:] = X[:, :1] + 1e-10 * X[:, first:] if first else X[:, 29:] + 1e-10 * X
@@ -540,7 +541,7 @@ def test_rows_in_the_basis_against_extended_precision(first, overwrite):
     assert errors.max() <= np.finfo(float).eps * cancelled.max() * 2.0**-basis.bits and plain.max() > 1e3 * errors.max()
 
 
-# ------------------------------------------------------------------------------------------------------------------ the first basis
+# ------------------------------------------------------------------------------------------------------ the first basis
 
 
 @settings(max_examples=25, deadline=None)
@@ -552,7 +553,7 @@ def test_rows_in_the_basis_against_extended_precision(first, overwrite):
     blocks=st.integers(1, 4),
 )
 def test_a_basis_of_a_sketch_serves_all_its_rows(seed, p, rows, decades, blocks):
-    """In it the rows have a condition number of some tens at most, whatever that of their functions; fewer rows than functions: their rank."""
+    """In it the rows have a condition number of some tens at most, whatever that of their functions."""
     rng = np.random.default_rng(seed)
     X = rng.normal(size=(rows, p)) @ np.diag(np.geomspace(1, 10**-decades, p)) @ rng.normal(size=(p, p))
     sketch = Sketch(p)
@@ -567,7 +568,7 @@ def test_a_basis_of_a_sketch_serves_all_its_rows(seed, p, rows, decades, blocks)
 
 
 def test_a_basis_of_a_sketch_has_the_lengths_of_the_rows():
-    """Random sums keep lengths: singular values of 3000 rows in a basis of 2 p + 32 = 432 sums are within those of a random matrix of that shape."""
+    """Random sums keep lengths: singular values of 3000 rows in a basis of 432 sums are those of a random matrix."""
     X = np.random.default_rng(0).normal(size=(3000, 200))
     singular = np.linalg.svd(Sketch(200).add(X).basis().whiten(X), compute_uv=False)
     ratio = (200 / 432) ** 0.5
@@ -581,7 +582,7 @@ def test_scales_are_those_of_all_rows_of_a_sketch():
 
 
 def test_a_basis_is_judged_when_its_sample_is_in_and_renewed_when_rows_leave_its_span():
-    """Two columns are nearly alike in the first of two blocks: that alone is no reason for another basis, which a third, new direction is."""
+    """Two columns are nearly alike in the first of two blocks: no reason for another basis, but a new direction is."""
     rng = np.random.default_rng(3)
     X = rng.normal(size=(6 * 4100, 300))
     X[:4100, 7] = X[:4100, 8] + 1e-5 * X[:4100, 7]
@@ -598,7 +599,7 @@ def test_a_basis_is_judged_when_its_sample_is_in_and_renewed_when_rows_leave_its
 
 
 def narrow_functions(rows, p=300):
-    """Blocks of one panel whose functions are nearly dependent in each: each of the last 200 columns lives in few rows."""
+    """Blocks of one panel, in each of which functions are nearly dependent: the last 200 columns live in few rows."""
     rng = np.random.default_rng(11)
     X = rng.normal(size=(rows, p))
     X[:, 100:] = (
@@ -611,7 +612,7 @@ def narrow_functions(rows, p=300):
 @pytest.mark.parametrize("alone", [False, True])
 @pytest.mark.slow
 def test_more_blocks_make_the_first_basis_where_one_is_few_rows(alone):
-    """Two of 4100 rows for 300 functions; any number of threads gives the same bits, as good as QR; an emptied solver keeps the basis."""
+    """Two of 4100 rows for 300 functions; the same bits by any number of threads, as good as QR, emptied or not."""
     X, Y, blocks = narrow_functions(5 * 4100)
     calls = []
     lift = lambda block: tuple(part.copy(order="F") for part in block)  # noqa: E731
@@ -648,7 +649,7 @@ def test_nan_in_the_rows_that_the_basis_is_made_of(bad):
 
 
 def test_rank_is_that_of_the_singular_values_on_either_side_of_the_shortcut():
-    """The bound that spares the decomposition says nothing near the limit: columns apart by 10^-k, whose smallest singular value crosses it."""
+    """The bound that spares the decomposition says nothing near the limit, which columns apart by 10^-k cross."""
     rng = np.random.default_rng(0)
     ranks = []
     for k in range(8, 17):

@@ -426,7 +426,8 @@ class LeastSquares:
             raise ValueError(
                 f"the dictionary's {p} functions are linearly dependent on this data (numerical rank {self.rank}; "
                 f"{labels} take part): use fewer functions or a lower degree, record data that moves every channel "
-                "independently, or ask for a truncated or regularized solution (regularization='truncated', strength=1e-8)."
+                "independently, or ask for a truncated or regularized solution (regularization='truncated', "
+                "strength=1e-8)."
             )
         return self
 

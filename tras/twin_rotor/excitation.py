@@ -7,6 +7,8 @@ import math
 
 import numpy as np
 
+from tras.workflow import arguments
+
 # The paper's excitation, in the order of the plant's inputs (pitch, yaw). "0.8 and 0.2 rad/cycle" is read as rad/s.
 PITCH_MAX_FREQUENCY, YAW_MAX_FREQUENCY = 0.2, 0.8  # rad/s
 PITCH_PEAK, YAW_PEAK = 1.22173, math.pi  # rad
@@ -17,9 +19,8 @@ def multisine(duration, dt, max_frequency, peak, rng, *, max_correlation=0.05, d
 
     Channel ``i`` is the sum of cosines of equal amplitude and random phase at the lines ``2 pi k / duration``, ``k =
     1, 2, ...`` up to ``max_frequency[i]`` (R. Pintelon and J. Schoukens, *System Identification*, 2nd ed., Sec. 5.3).
-    Each channel draws ``draws`` sets of phases. Among those whose correlation with the earlier channels is small
-    enough ("we reduced the correlation"), the one with the lowest crest factor counts. The mean is zero, the period
-    ``duration``.
+    Of ``draws`` sets of phases whose correlation with the earlier channels is small enough ("we reduced the
+    correlation"), the one with the lowest crest factor counts. The mean is zero, the period ``duration``.
 
     Parameters
     ----------
@@ -121,8 +122,7 @@ def chirp(duration, dt, max_frequency, peak):
 def grid(duration, dt):
     """Number of samples 0, dt, ..., duration; ``duration`` must be a whole number of ``dt``."""
     for name, value in (("duration", duration), ("dt", dt)):
-        if not (math.isfinite(value) and value > 0):
-            raise ValueError(f"{name} is {value}; give a positive time in s.")
+        arguments.number(name, value, 0, ends=False, give="a positive time in s")
     intervals = round(duration / dt)
     if intervals < 1 or abs(intervals * dt - duration) > 1e-9 * duration:
         raise ValueError(f"duration = {duration} s is not a whole number of samples of dt = {dt} s; change either.")
