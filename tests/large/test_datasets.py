@@ -99,11 +99,11 @@ def test_a_bad_number_in_the_middle_is_named_and_the_checkpoint_kept(path, tmp_p
     recording, checkpoint = tras.Recording.read(path), tmp_path / "a.npz"
     good, bad = recording.to_xarray(), recording.to_xarray().copy(deep=True)
     bad["p"][4003 + 1900] = np.nan
-    given = iter([good, bad, good])
+    readings = iter([good, bad, good])
 
     class Damaged:
         def __iter__(self):
-            yield next(given)
+            yield next(readings)
 
     with pytest.raises(
         UnreadableError,

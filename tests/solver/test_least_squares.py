@@ -244,10 +244,10 @@ def test_dependent_columns_are_found_and_named(kind, units):
         match="8 functions are linearly dependent on this data .numerical rank 7; .*truncated or regularized",
     ) as caught:
         _ = fit.coefficients
-    named = set(str(caught.value).split("rank 7; ")[1].split(" take part")[0].split(", "))
-    assert named and named <= involved
+    names = set(str(caught.value).split("rank 7; ")[1].split(" take part")[0].split(", "))
+    assert names and names <= involved
     if len(involved) <= 3:
-        assert named == involved
+        assert names == involved
     # A solution still exists, and it predicts as well as any.
     shortest = regularized("truncated", fit.R, fit.rotated, 1)(1e-10)
     assert np.abs(X @ shortest - Y).max() <= 1e-12 * np.abs(Y).max()
@@ -368,12 +368,12 @@ def test_a_copy_keeps_its_rows_when_the_original_goes_on(rows):
     """Rows that were multiplied, and rows that wait."""
     X, Y = rows
     solver = StreamingLeastSquares().update(X[:5000], Y[:5000]).update(X[5000:5600], Y[5000:5600])
-    kept = copy.copy(solver)
-    before = {key: value.copy() for key, value in kept.state().items()}
+    other = copy.copy(solver)
+    before = {key: value.copy() for key, value in other.state().items()}
     solver.update(X[5600:6000], Y[5600:6000]).update(X, Y).update(X[:10], Y[:10])
-    assert all(np.array_equal(value, before[key]) for key, value in kept.state().items())
-    assert kept.rows == 5600 and np.array_equal(
-        kept.solve().R, StreamingLeastSquares().update(X[:5000], Y[:5000]).update(X[5000:5600], Y[5000:5600]).solve().R
+    assert all(np.array_equal(value, before[key]) for key, value in other.state().items())
+    assert other.rows == 5600 and np.array_equal(
+        other.solve().R, StreamingLeastSquares().update(X[:5000], Y[:5000]).update(X[5000:5600], Y[5000:5600]).solve().R
     )
 
 
@@ -532,10 +532,10 @@ def test_rows_in_the_basis_against_extended_precision(first, overwrite):
     basis = Sketch(30).add(X).basis()
     assert basis.exact == max(first, 1)
     exact = sum(product(X / basis.scale, (basis.T, np.zeros_like(basis.T))))
-    given = np.asfortranarray(X.copy())
+    rows = np.asfortranarray(X.copy())
     length = np.linalg.norm(exact, axis=0)
-    errors = np.linalg.norm(basis.whiten(given, overwrite) - exact, axis=0) / length
-    assert overwrite or np.array_equal(given, X)
+    errors = np.linalg.norm(basis.whiten(rows, overwrite) - exact, axis=0) / length
+    assert overwrite or np.array_equal(rows, X)
     cancelled = np.linalg.norm(X / basis.scale, axis=0) @ np.abs(basis.T) / length
     plain = np.linalg.norm((X / basis.scale) @ basis.T - exact, axis=0) / length
     assert errors.max() <= np.finfo(float).eps * cancelled.max() * 2.0**-basis.bits and plain.max() > 1e3 * errors.max()
@@ -622,8 +622,8 @@ def test_more_blocks_make_the_first_basis_where_one_is_few_rows(alone):
     assert panels_of_a_basis(300) == 2 and panels_of_a_basis(256) == 1 and panels_of_a_basis(2000) == 4
     for solver in solvers[1:]:
         assert all(np.array_equal(value, solvers[0].state()[key]) for key, value in solver.state().items())
-    seen = Sketch(300).add(X[:4100]).add(X[4100:8200]).basis()
-    assert seen.same_as(solvers[0].basis)
+    expected = Sketch(300).add(X[:4100]).add(X[4100:8200]).basis()
+    assert expected.same_as(solvers[0].basis)
     fit = solvers[0].solve()
     exact = extended(X, Y, fit.R)[0]
     QR = linalg.lstsq(X, Y)[0]

@@ -7,7 +7,7 @@ import pytest
 from scipy import linalg, optimize
 
 import tras
-from tras.solver.stability import excess_cost, spectral_radius, stable_change, stable_least_squares
+from tras.solver.stability import spectral_radius, stable_change, stable_least_squares
 
 
 def problem(seed, *, N=None, m=None, constant=True):
@@ -33,6 +33,11 @@ def inner(coefficients, constant):
     """A without the constant's row and column."""
     c = int(constant)
     return coefficients[c : coefficients.shape[1], c:].T
+
+
+def excess_cost(R, free, coefficients):
+    """Each target's sum of squared residuals less that of the least-squares solution ``free``, (targets,)."""
+    return np.sum((R @ (coefficients - free)) ** 2, axis=0)
 
 
 def clipped_cost(R, free, constant, radius):
@@ -140,7 +145,7 @@ def nearest_2x2(F, W, starts=8):
     """Local searches from many points: a real 2 x 2 matrix is stable iff ``|det| <= 1`` and ``|trace| <= 1 + det``."""
     rng = np.random.default_rng(0)
     limits = [lambda a: 1 - det(a), lambda a: 1 + det(a) - a[0] - a[3], lambda a: 1 + det(a) + a[0] + a[3]]
-    found = []
+    costs = []
     for k in range(starts):
         search = optimize.minimize(
             lambda a: np.sum(((a.reshape(2, 2) - F) @ W) ** 2), F.ravel() + 0.5 * (k > 0) * rng.normal(size=4),
@@ -148,8 +153,8 @@ def nearest_2x2(F, W, starts=8):
             options={"ftol": 1e-12, "maxiter": 300},
         )  # fmt: skip
         if search.success and spectral_radius(search.x.reshape(2, 2)) < 1 + 1e-5:
-            found.append(search.fun)
-    return min(found)
+            costs.append(search.fun)
+    return min(costs)
 
 
 def det(a):

@@ -22,7 +22,7 @@ class CheckpointError(ValueError):
     """The file is no checkpoint, or one of another model or other data."""
 
 
-def read_checkpoint(path, model, chunk):
+def read_checkpoint(path, model, chunk: int) -> tuple[dict, dict, dict] | None:
     """(header, survey's arrays, state of the fit); None if there is no file.
 
     Raises
@@ -55,7 +55,7 @@ def read_checkpoint(path, model, chunk):
     return header, survey, state
 
 
-def other_data(path, reason):
+def other_data(path, reason: str) -> CheckpointError:
     """The `CheckpointError` to raise."""
     return CheckpointError(
         f"checkpoint {path} belongs to other data ({reason}); use the data it was made of, {_REMEDY}."
@@ -79,7 +79,7 @@ class Log:
         self.stored = self.header["done"]
         self.crc, self.written = 0, time.monotonic()
 
-    def knows(self, number, piece):
+    def knows(self, number: int, piece) -> bool:
         """Whether the piece was absorbed before the file was written; a CheckpointError if earlier ones were others."""
         done = self.header["done"]
         if self.path is not None:
@@ -113,7 +113,7 @@ class Log:
         if self.path is not None and due:
             self.write()
 
-    def rescue(self):
+    def rescue(self) -> bool:
         """Write what is not written yet; whether there is a checkpoint."""
         if self.path is None:
             return False

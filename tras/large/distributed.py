@@ -21,7 +21,7 @@ from tras.workflow.executors import SchedulerError
 _PARTS = 16
 
 
-def absorb(fit, stream, held, length, chunk, scheduler=None, parts=None, bar=None):
+def absorb(fit, stream, held, length, chunk, scheduler, parts, bar):
     """What `tras.large.streaming` does for one process, by several: the fit then holds all pairs not held out.
 
     Parameters
@@ -50,12 +50,11 @@ def absorb(fit, stream, held, length, chunk, scheduler=None, parts=None, bar=Non
             raise SchedulerError(f"part {k} of {parts} was lost: {result.reason}; use a smaller chunk.")
         with one_blas_thread():
             fit.merge(result)
-        if bar is not None:
-            bar.update(sum(pairs for _, _, pairs in shares[k]))
+        bar.update(sum(pairs for _, _, pairs in shares[k]))
 
 
 def absorb_part(fit, stream, held, length, groups):
-    """What one worker does: the state of a fit of some chunks."""
+    """What one worker does for some chunks: the state of a fit of them."""
     fit = copy.copy(fit)
     with one_blas_thread():
         for first, last, _ in groups:

@@ -55,7 +55,7 @@ class _Lazy:
             setattr(self, f"{role}_units", tuple(variable.attrs["units"] for _, variable in channels))
 
     @property
-    def pairs(self):
+    def pairs(self) -> int:
         """Number of snapshot pairs."""
         return int(np.sum(self.lengths - 1))
 
@@ -73,7 +73,7 @@ class _Lazy:
         vars(new).update({label: getattr(empty, label) for label in _LABELS})
         return new
 
-    def nothing(self):
+    def nothing(self) -> Recording:
         """A `Recording` with these labels and one sample of zeros."""
         x, u = (np.zeros((1, 1, len(names))) for names in (self.state_names, self.input_names))
         return Recording(x, u, self.dt, **{label: getattr(self, label) for label in _LABELS})
@@ -115,10 +115,6 @@ class _Lazy:
 class RecordingFile(_Lazy):
     """A file that `Recording.write` has written, of which nothing is loaded but names and lengths.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-
     Attributes
     ----------
     dt, state_names, state_units, input_names, input_units, lengths, pairs
@@ -132,7 +128,7 @@ class RecordingFile(_Lazy):
         If it is not a NetCDF-4 file or not a recording.
     """
 
-    def __init__(self, path):
+    def __init__(self, path: str | Path):
         self.path = Path(path)
         if self.path.suffix != ".nc":
             kinds = "only .nc files are read piece by piece: write one with Recording.write"
@@ -165,10 +161,6 @@ class RecordingDataset(_Lazy):
 
     It is read in slices by the process that needs them. A chunk of Dask that is larger than a slice is read anew for
     each. It travels as xarray pickles it: the name of its file, a graph of Dask, or numbers that are in memory.
-
-    Parameters
-    ----------
-    dataset : xarray.Dataset
 
     Raises
     ------
@@ -215,7 +207,7 @@ def spans(lengths, size, shared):
             yield i, first, int(min(first + size + shared, length))
 
 
-def open_recording(path):
+def open_recording(path: str | Path) -> RecordingFile:
     """A `RecordingFile`, to be read piece by piece: for recordings larger than memory.
 
     Examples
@@ -232,7 +224,7 @@ def open_recording(path):
 _READABLE = (Recording, RecordingFile, RecordingDataset)
 
 
-def is_dataset(source):
+def is_dataset(source) -> bool:
     """Whether it is an ``xarray.Dataset``; xarray is not imported to find out."""
     return hasattr(source, "data_vars") and hasattr(source, "sizes")
 
@@ -263,12 +255,12 @@ class Stream:
             if last is not None and last <= 0:
                 return
 
-    def counts(self):
+    def counts(self) -> list[int]:
         """Pairs of each piece; nothing is read."""
         lengths = (recording.lengths for recording in self.recordings())
         return [b - a - self.shared for some in lengths for _, a, b in spans(some, self.size, self.shared)]
 
-    def opened(self):
+    def opened(self) -> "Stream":
         """The same stream, of files that are open to be read anywhere and of recordings."""
         new = Stream(list(self.recordings()), self.size, self.shared)
         new.template = self.template
@@ -291,7 +283,7 @@ class Stream:
             require_alike(self.template, item, k)
             yield item
 
-    def recording(self, pieces):
+    def recording(self, pieces) -> Recording:
         """A `Recording` of some pieces."""
         x, u = zip(*((piece.x, piece.u) for piece in pieces))
         return self.template.with_data(list(x), list(u))
@@ -304,7 +296,7 @@ class Stream:
             yield from recording
 
 
-def several(pieces, pairs):
+def several(pieces, pairs: int) -> list[Piece]:
     """The next pieces of an iterator, of so many pairs together; fewer at its end."""
     group, count = [], 0
     for piece in pieces:
@@ -315,7 +307,7 @@ def several(pieces, pairs):
     return group
 
 
-def without(piece, starts, length, shared):
+def without(piece: Piece, starts, length: int, shared: int) -> list[Piece]:
     """What is left of a piece without the pairs ``start`` to ``start + length`` for each start in order: a list."""
     pieces, begin = [], 0
     for start, after in [*((start, start + length) for start in starts), (piece.pairs, piece.pairs)]:

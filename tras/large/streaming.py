@@ -24,7 +24,7 @@ from tras.workflow import executors
 _WINDOWS = 100  # windows of a sample at least, if there are so many; at most twice as many
 
 
-def needed(source):
+def needed(source) -> bool:
     """Whether data are to be read in pieces: anything but a `Recording`, a list of them, or what is no data at all."""
     if isinstance(source, (str, Path, RecordingFile)) or is_dataset(source) or callable(source):
         return True
@@ -36,7 +36,7 @@ def needed(source):
 def absorb(
     model, source, *, ranges=None, checkpoint=None, chunk=None, progress=None, every=60.0, scheduler=None, parts=None,
     threads=None,
-):  # fmt: skip
+) -> tuple[Fit, Recording, Recording | None]:  # fmt: skip
     """Read data of any size into a `Fit`; `KoopmanModel.fit` calls this and solves it.
 
     A `Recording`, or a list of them, is fitted in memory unless a ``chunk`` is given; so are other data that are
@@ -126,7 +126,7 @@ def absorb(
     return fit, scaled, scaled if held else None
 
 
-def more(fit, recording, threads=None):
+def more(fit: Fit, recording: Recording, threads=None) -> tuple[Fit, Recording, Recording | None]:
     """Absorb a recording in memory but for what is held out; returns as `absorb` does."""
     scaled = fit.channels.scaled(recording)
     train, held = hold_out(scaled) if fit.chooses else (scaled, None)

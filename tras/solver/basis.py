@@ -31,7 +31,7 @@ class Basis:
         self._shift = 1.5 * 2.0 ** (52 - bits) * scale
 
     @classmethod
-    def of(cls, R, scale):
+    def of(cls, R, scale) -> "Basis":
         """From the triangular factor R of some rows of Psi / scale."""
         p = len(R)
         size = np.linalg.norm(R)
@@ -54,7 +54,7 @@ class Basis:
         exact = np.argmax(cancelled > cancelled.max() * 2.0**-bits) if cancelled.max() > _CANCELLED else p
         return cls(np.asfortranarray(rounded), scale, bits, ridge, exact)
 
-    def whiten(self, x, overwrite=False):
+    def whiten(self, x, overwrite=False) -> np.ndarray:
         """B = (Psi / scale) T for rows ``x`` of Psi, in place if ``overwrite`` and ``x`` lies column by column."""
         if self.exact == len(self.T):
             return blas.dtrmm(1.0, self._blocks[0], np.asarray(x, order="F"), side=1, overwrite_b=overwrite)
@@ -77,24 +77,24 @@ class Basis:
             blas.dtrmm(1.0, head, x[:, :j], side=1, overwrite_b=1)
         return x
 
-    def multiply(self, x):
+    def multiply(self, x) -> np.ndarray:
         """``x T`` for an upper triangular matrix of any size, with leading bits multiplied exactly."""
         size = powers_of_two(x.T)[:, None]
         whole = _blocks(self.T / self.scale[:, None], 0)
         return np.triu(self._exactly(np.array(x / size * self.scale, order="F"), *whole) * size)
 
-    def inverse(self):
+    def inverse(self) -> tuple[np.ndarray, np.ndarray]:
         """T^-1 as a sum of two, the second as small as the first one's rounding errors (Newton's iteration)."""
         inverse = lapack.dtrtri(self.T)[0]
         one = np.eye(len(inverse))
         inverse = inverse + (one - self.multiply(inverse)) @ inverse
         return inverse, (one - self.multiply(inverse)) @ inverse
 
-    def same_as(self, other):
+    def same_as(self, other: "Basis") -> bool:
         same = self.bits == other.bits and np.array_equal(self.scale, other.scale)
         return same and np.array_equal(self.T, other.T)
 
-    def inverse_of_factor(self, L):
+    def inverse_of_factor(self, L) -> np.ndarray:
         """T L^-1, the inverse of `factor`."""
         return blas.dtrmm(1.0, self.T, lapack.dtrtri(L)[0], overwrite_b=1)
 
@@ -103,7 +103,7 @@ class Basis:
         rows = self.ridge[:, None] * self.T
         return rows.T @ rows if self.ridge.any() else 0.0
 
-    def factor(self, L):
+    def factor(self, L) -> np.ndarray:
         """R = L T^-1, with R^T R = (Psi / scale)^T (Psi / scale) when L^T L = G; refined once, as T may cancel much."""
         R = np.triu(blas.dtrsm(1.0, self.T, L, side=1))
         return R + np.triu(blas.dtrsm(1.0, self.T, L - self.multiply(R), side=1))
@@ -126,7 +126,7 @@ class Sketch:
         self._sums, self.rows = np.zeros((2 * p + 32, p)), 0
         self._scale = np.zeros(p)
 
-    def add(self, x):
+    def add(self, x) -> "Sketch":
         """Rows (rows, p); returns self."""
         rows, room = len(x), len(self._sums)
         if rows == 0:
@@ -142,7 +142,7 @@ class Sketch:
         self.rows += rows
         return self
 
-    def basis(self):
+    def basis(self) -> Basis:
         """A `Basis` for all these rows."""
         require_finite(self._sums)
         return Basis.of(householder(self._sums / self._scale), self._scale)
@@ -154,7 +154,7 @@ def require_finite(*values):
         raise ValueError("regressors or targets hold NaN, infinity or values too large to square; repair them first.")
 
 
-def householder(x, R=None, triangular=False):
+def householder(x, R=None, triangular=False) -> np.ndarray:
     """Triangular factor of ``x``, or of ``R`` on top of ``x``, which may be ``triangular``, by LAPACK's QR."""
     p = x.shape[1]
     if R is None:
@@ -165,7 +165,7 @@ def householder(x, R=None, triangular=False):
     return np.asfortranarray(np.triu(factor))
 
 
-def cholesky(gram):
+def cholesky(gram) -> np.ndarray:
     """Upper triangular L with L^T L = gram, of the equilibrated matrix; shifted by rounding errors if not positive."""
     diagonal = np.sqrt(np.diag(gram))
     diagonal = np.where(diagonal > 0, diagonal, 1.0)
@@ -178,7 +178,7 @@ def cholesky(gram):
         shift = 100 * shift or len(scaled) * _EPS
 
 
-def condition_number(gram):
+def condition_number(gram) -> float:
     """Estimated condition number of the equilibrated matrix in the 1-norm; infinite if it is not positive definite."""
     diagonal = np.diag(gram)
     if not (diagonal > 0).all():
@@ -192,11 +192,11 @@ def condition_number(gram):
     return 1 / reciprocal if reciprocal > 0 else math.inf
 
 
-def powers_of_two(x):
+def powers_of_two(x) -> np.ndarray:
     """For each column a power of two above its largest entry; 1 for a column of zeros."""
     largest = np.maximum(x.max(axis=0), -x.min(axis=0))
     return np.ldexp(1.0, np.frexp(np.where(largest > 0, largest, 0.5))[1])
 
 
-def sums_of_squares(x):
+def sums_of_squares(x) -> np.ndarray:
     return np.einsum("ij,ij->j", x, x)

@@ -25,7 +25,7 @@ three digits better where Psi is ill-conditioned (`benchmarks/solver.py`).
 import itertools
 import math
 from collections import deque
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from functools import cached_property, partial
 
@@ -81,13 +81,13 @@ class StreamingLeastSquares:
     array([1., 2.])
     """
 
-    def __init__(self, panel=None):
+    def __init__(self, panel: int | None = None):
         self.panel = panel
         self.rows = 0
         self._waiting = []
         self.basis = None
 
-    def update(self, regressors, targets):
+    def update(self, regressors, targets) -> "StreamingLeastSquares":
         """Add rows (rows, p) with targets (rows, q); returns self."""
         regressors, targets = _two_dimensional("regressors", regressors), _two_dimensional("targets", targets)
         shapes = regressors.shape[1], targets.shape[1]
@@ -119,7 +119,7 @@ class StreamingLeastSquares:
             rows = slice(k * len(x) // pieces, (k + 1) * len(x) // pieces)
             self._absorb(x[rows], y[rows])
 
-    def update_lifted(self, blocks, lift, threads=1, regressors=None):
+    def update_lifted(self, blocks, lift, threads=1, regressors=None) -> "StreamingLeastSquares":
         """``update(*lift(block))`` for each block, by several threads, with the same bits whatever their number.
 
         Each thread lifts a block and multiplies what it lifted; the products are added here, in the order of the
@@ -145,8 +145,8 @@ class StreamingLeastSquares:
                     self._collect(running, lift)
                     self.update(*lift(block))
                     continue
-                run = pool.submit if pool else _at_once
-                running.append((block, self.basis, run(_lifted_products, self.basis, lift, block)))
+                work = _lifted_products, self.basis, lift, block
+                running.append((block, self.basis, pool.submit(*work).result if pool else partial(*work)))
                 if len(running) > threads:
                     self._collect(running, lift, leave=threads)
             self._collect(running, lift)
@@ -185,11 +185,10 @@ class StreamingLeastSquares:
     def _collect(self, running, lift, leave=0):
         """Add the products of the first blocks, in order, but for the last ``leave``."""
         while len(running) > leave:
-            block, basis, future = running.popleft()
-            products = future.result()
-            if basis is not self.basis:  # it was renewed meanwhile
-                products = _lifted_products(self.basis, lift, block)
-            self._add(products, partial(lift, block))
+            block, basis, products = running.popleft()
+            # Products in a basis that was renewed meanwhile are made again.
+            current = products() if basis is self.basis else _lifted_products(self.basis, lift, block)
+            self._add(current, partial(lift, block))
             self.rows += len(block[0])
 
     def _absorb(self, x, y):
@@ -231,7 +230,7 @@ class StreamingLeastSquares:
         self._cross = S.T @ self._cross
         self.basis = new
 
-    def merge(self, other):
+    def merge(self, other: "StreamingLeastSquares") -> "StreamingLeastSquares":
         """Add the rows of another solver, which is not changed; returns self.
 
         Solvers of one basis (see `emptied`) are added. Otherwise both are written in a basis made of their stacked
@@ -272,7 +271,7 @@ class StreamingLeastSquares:
         new.__dict__.update(self.__dict__, _waiting=list(self._waiting))
         return new
 
-    def emptied(self):
+    def emptied(self) -> "StreamingLeastSquares":
         """A solver without rows that begins with this one's basis, for rows of the same kind."""
         if self.basis is None:
             self.work_off()
@@ -280,7 +279,7 @@ class StreamingLeastSquares:
         new._begin(self.basis, self._shapes)
         return new
 
-    def solve(self, names=None):
+    def solve(self, names=None) -> "LeastSquares":
         """Solution over all rows so far; rows may be added afterwards.
 
         Parameters
@@ -308,7 +307,7 @@ class StreamingLeastSquares:
         coefficients /= basis.scale[:, None]
         return LeastSquares(coefficients, basis, L, rotated, self._lengths, self._square, self.rows, names)
 
-    def state(self):
+    def state(self) -> dict[str, np.ndarray]:
         """All that is known of the rows, as plain arrays: store them with `numpy.savez`, continue with `from_state`.
 
         Rows that wait for a panel are stored as they are: what follows has the same bits with and without a store.
@@ -327,7 +326,7 @@ class StreamingLeastSquares:
         }  # fmt: skip
 
     @classmethod
-    def from_state(cls, state, panel=None):
+    def from_state(cls, state, panel=None) -> "StreamingLeastSquares":
         """The solver whose `state` this was."""
         self = cls(panel)
         self.rows = int(state["rows"])
@@ -375,11 +374,11 @@ class LeastSquares:
         self._norms = np.where(lengths > 0, np.sqrt(lengths), 1.0)
 
     @cached_property
-    def R(self):
+    def R(self) -> np.ndarray:
         return self.basis.factor(self._L) * self.basis.scale
 
     @cached_property
-    def rank(self):
+    def rank(self) -> int:
         p, smallest = len(self._L), _EPS * math.sqrt(self.rows)  # smaller singular values are rounding errors
         # A bound on the condition number costs less than the number itself.
         if math.sqrt(p) * np.linalg.norm(self._inverse) * smallest < 0.1:
@@ -396,23 +395,23 @@ class LeastSquares:
         return self.basis.inverse_of_factor(self._L) * (self._norms / self.basis.scale)[:, None]
 
     @property
-    def coefficients(self):
+    def coefficients(self) -> np.ndarray:
         self.require_full_rank()
         return self._coefficients
 
     @property
-    def residual(self):
+    def residual(self) -> np.ndarray:
         return np.sqrt(self._least / self.rows)
 
     @property
-    def scaled_condition_number(self):
+    def scaled_condition_number(self) -> float:
         return _ratio(self._singular)
 
     @cached_property
-    def condition_number(self):
+    def condition_number(self) -> float:
         return _ratio(np.linalg.svd(self.R, compute_uv=False))
 
-    def require_full_rank(self):
+    def require_full_rank(self) -> "LeastSquares":
         """Self, if the coefficients are determined; else a ValueError that names regressors that depend on others."""
         p = len(self._L)
         if self.rows < p:
@@ -432,7 +431,7 @@ class LeastSquares:
         return self
 
 
-def least_squares(blocks, names=None):
+def least_squares(blocks, names=None) -> LeastSquares:
     """A `LeastSquares` of full rank over an iterable of blocks (regressors (rows, p), targets (rows, q)).
 
     Raises
@@ -458,19 +457,12 @@ def _lifted_products(basis, lift, block):
     return _products(basis, *lift(block), overwrite=True)
 
 
-def _at_once(function, *arguments):
-    """What a pool's ``submit`` returns, computed here and now."""
-    done = Future()
-    done.set_result(function(*arguments))
-    return done
-
-
-def panel_rows(p):
+def panel_rows(p: int) -> int:
     """Rows that are worked on at once."""
     return max(4096, 4 * p)
 
 
-def panels_of_a_basis(p):
+def panels_of_a_basis(p: int) -> int:
     """Number of panels that the first basis is made of, if they come as blocks that are lifted here."""
     return -(-_SAMPLE * p // panel_rows(p))
 

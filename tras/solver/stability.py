@@ -25,17 +25,12 @@ _ROUND = 20  # iterations with the same S
 _WEIGHT = 1e-10  # of a regressor's length, against changes that the data do not determine
 
 
-def spectral_radius(A):
+def spectral_radius(A) -> float:
     """Largest modulus of the eigenvalues of A (N, N)."""
     return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
 
 
-def excess_cost(R, free, coefficients):
-    """Each target's sum of squared residuals less that of the least-squares solution ``free``, (targets,)."""
-    return np.sum((R @ (coefficients - free)) ** 2, axis=0)
-
-
-def stable_change(fit, D, n, m, **options):
+def stable_change(fit, D, n: int, m: int, **options) -> np.ndarray:
     """`stable_least_squares` in the terms of `tras.koopman.lifted_linear_rows`: rows ``[1, x, u, further functions]``.
 
     ``fit`` is a `LeastSquares`; D (N + m, N) stands for A - I and B, its coefficients or regularized ones; n and m
@@ -54,20 +49,18 @@ def stable_change(fit, D, n, m, **options):
     return change
 
 
-def stable_least_squares(R, free, *, constant=True, radius=1.0, iterations=100):
+def stable_least_squares(R, free, *, constant=True, radius=1.0, iterations=100) -> np.ndarray:
     """``[psi(x), u] @ coefficients = psi(y)`` by least squares, with no eigenvalue of A beyond ``radius``.
 
-    The problem is not convex, and its local minima lie at the edge of smoothness, where eigenvalues meet. The result is
-    feasible and never worse than the free solution with its eigenvalues drawn back to the circle. On closed-loop data
-    it had less than 1 % of that one's excess cost with 44 to 194 functions, 0.3 to 6 % with some 30, 26 and 65 % with
-    14; nine in ten random 2 x 2 problems ended within 4 % of the global optimum. It stops when ``iterations`` are used
-    up or twenty of them have gained less than 1 %: no optimum is proved. No random numbers.
+    The problem is not convex. The result is feasible and never worse than the free solution with its eigenvalues drawn
+    back to the circle: on closed-loop data it had less than 1 % of that one's excess cost with 44 to 194 functions, 0.3
+    to 6 % with some 30, 26 and 65 % with 14; nine in ten random 2 x 2 problems ended within 4 % of the global optimum.
+    It stops when ``iterations`` are used up or twenty of them have gained less than 1 %. No random numbers.
 
-    A spectral radius of one bounds the powers of A, not the response to inputs: a mode at exactly one adds up whatever
-    the constant and the inputs feed it. With ``radius = 1 - dt / tau`` every mode forgets in about the time tau, and
-    bounded inputs have a bounded response. Slower modes than the training trajectories can show are guesses: with these
-    at 5 s, sampled at 0.01 s, and torque inputs, radius 0.999 instead of 1 brought the error of 500 s free runs from
-    30-420 % to 6-11 %. A lower cost, being a one-step error, did not.
+    A mode at exactly one adds up whatever the constant and the inputs feed it. With ``radius = 1 - dt / tau`` every
+    mode forgets in about the time tau, and bounded inputs have a bounded response. Slower modes than the training
+    trajectories can show are guesses: with these at 5 s, sampled at 0.01 s, and torque inputs, radius 0.999 instead of
+    1 brought the error of 500 s free runs from 30-420 % to 6-11 %. A lower cost, being a one-step error, did not.
 
     Parameters
     ----------
@@ -78,8 +71,8 @@ def stable_least_squares(R, free, *, constant=True, radius=1.0, iterations=100):
         The unconstrained solution ``[A B]^T``. If it is a regularized one, the result is the stable model whose
         predictions on the data are near to it.
     constant : bool
-        The first function is the constant 1. Its own equation is exact and its eigenvalue one allowed; on the other
-        functions it acts as an input does, and the bound is on these.
+        The first function is the constant 1, whose own eigenvalue is one; the bound is on the other functions, for
+        which it is an input.
     radius : float
     iterations : int
         Steps on M, of order N^3; 0 leaves the improved start. A hundred take about 0.05 s for 30 functions, 0.5 s for
@@ -88,16 +81,14 @@ def stable_least_squares(R, free, *, constant=True, radius=1.0, iterations=100):
     Returns
     -------
     (p, N) ndarray
-        A^T in the first N rows, B^T below; ``free`` itself if that is stable already. The moduli of the eigenvalues
-        that `numpy.linalg.eigvals` finds, of A or of its transpose, are at most ``radius`` (but for the constant's): A
-        and M are scaled by what rounding adds to them, some 1e-15, or up to 1e-6 if the regressors are nearly
-        dependent.
+        A^T in the first N rows, B^T below; ``free`` itself if that is stable already. The eigenvalues that
+        `numpy.linalg.eigvals` finds, of A or of its transpose, are at most ``radius`` (but for the constant's): A is
+        scaled by what rounding adds to them, some 1e-15, or up to 1e-6 if the regressors are nearly dependent.
 
     Raises
     ------
     ValueError
-        On wrong shapes, NaN or infinity, a first function that is not the constant, a radius that is not positive, or a
-        number of iterations that is not whole or negative.
+        On wrong shapes, NaN or infinity, a first function that is not the constant, or a wrong radius or number.
 
     Examples
     --------

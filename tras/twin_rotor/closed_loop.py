@@ -54,7 +54,7 @@ class PID:
         object.__setattr__(self, "limits", torque_limits("limits", self.limits))
 
     @classmethod
-    def pole_placement(cls, inertia, limits, *, frequency=4.0, damping=0.9, integral_rate=1.0):
+    def pole_placement(cls, inertia, limits, *, frequency=4.0, damping=0.9, integral_rate=1.0) -> "PID":
         """``P = J w^2``, ``D = 2 zeta w J``, ``I = P * integral_rate`` for an axis of the given inertia (kg m^2).
 
         ``frequency`` in rad/s, ``integral_rate`` in 1/s.
@@ -63,7 +63,7 @@ class PID:
         return cls(P=P, I=P * integral_rate, D=2 * damping * frequency * inertia, limits=limits)
 
     @classmethod
-    def defaults(cls, parameters):
+    def defaults(cls, parameters: PlantParameters) -> tuple["PID", "PID"]:
         """The project's pair (pitch, yaw). Yaw's inertia is the one at level beam, ``J + J_psi0``."""
         return (
             cls.pole_placement(parameters.J_phi, parameters.u_phi_limits, integral_rate=1.0),
@@ -71,7 +71,9 @@ class PID:
         )
 
 
-def simulate_closed_loop(reference, dt, parameters=None, *, controllers=None, x0=None, step=0.01, attributes=None):
+def simulate_closed_loop(
+    reference, dt: float, parameters=None, *, controllers=None, x0=None, step: float = 0.01, attributes=None
+) -> Recording:
     """Follow references with the PID and record everything.
 
     At each sample the controller reads state and reference, and its torque is held until the next. By default the rig
@@ -113,7 +115,9 @@ def simulate_closed_loop(reference, dt, parameters=None, *, controllers=None, x0
     return _simulated(reference[None], dt, rigs, controllers, x0, step, attributes)
 
 
-def simulate_closed_loops(references, dt, parameters=None, *, controllers=None, x0=None, step=0.01, attributes=None):
+def simulate_closed_loops(
+    references, dt: float, parameters=None, *, controllers=None, x0=None, step: float = 0.01, attributes=None
+) -> Recording:
     """Simulate many runs for a Monte Carlo study: other references, initial states or rigs.
 
     Each run is that of `simulate_closed_loop` to the accuracy of the integration (1e-9 over 6 s). Forty runs or more
@@ -158,7 +162,7 @@ def simulate_closed_loops(references, dt, parameters=None, *, controllers=None, 
     return _simulated(references, dt, rigs, controllers, x0, step, attributes)
 
 
-def saturated(recording, parameters):
+def saturated(recording: Recording, parameters: PlantParameters) -> np.ndarray:
     """Share of samples with a torque at its limit, (pitch, yaw), as fractions.
 
     The limits are those of the controllers, which `simulate_closed_loop` records, else those of ``parameters``.

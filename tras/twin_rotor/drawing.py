@@ -56,7 +56,7 @@ _PILLAR_TOP, _BASE_TOP = -0.09, -0.33  # heights, m
 _ROUND = 40  # corners of a circle
 
 
-def rig_geometry(phi, psi, *, l_m=0.202, l_t=0.216, l_cw=0.25):
+def rig_geometry(phi: float, psi: float, *, l_m=0.202, l_t=0.216, l_cw=0.25) -> pd.DataFrame:
     """Pose the rig.
 
     Parameters
@@ -101,12 +101,12 @@ def rig_geometry(phi, psi, *, l_m=0.202, l_t=0.216, l_cw=0.25):
     return pd.DataFrame({"part": names, "point": numbers, **dict(zip("xyz", positions.T))})
 
 
-def project(points, camera=CAMERA):
+def project(points, camera=CAMERA) -> np.ndarray:
     """Points (..., 3) in m, as seen from far away: right, up and towards the viewer; ``camera`` as for `draw_rig`."""
     return np.asarray(points, dtype=float) @ view_axes(camera).T
 
 
-def part_points(geometry, part):
+def part_points(geometry: pd.DataFrame, part: str) -> np.ndarray:
     """Return the points of one part of a geometry table, (points, 3) in m."""
     rows = geometry.loc[geometry["part"] == part, ["x", "y", "z"]]
     if rows.empty:
@@ -116,7 +116,7 @@ def part_points(geometry, part):
 
 def draw_rig(
     axes, geometry, *, camera=CAMERA, parts=None, alpha=1.0, linewidth=0.6, edgecolor="black", colours=None, zorder=2.0
-):
+) -> list[PolyCollection]:
     """Draw the solid parts of a posed rig in ordinary two-dimensional axes, from back to front.
 
     For an animation, draw the static parts once (``parts=STATIC``), then remove the returned artists and draw again for
@@ -275,7 +275,7 @@ def _span(near, far, sign):
 # --------------------------------------------------------------------------------------------------------- drawing
 
 
-def view_axes(camera):
+def view_axes(camera) -> np.ndarray:
     """Unit vectors right, up and towards the viewer as rows, (3, 3)."""
     azimuth, elevation = camera
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
@@ -283,7 +283,7 @@ def view_axes(camera):
     return np.stack([right, np.cross(towards, right), towards])
 
 
-def face_planes(solid):
+def face_planes(solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Faces of a right prism: outward unit normals (faces, 3) and offsets (faces,) with ``normal @ point = offset``.
 
     The first and second half of the points are the first two faces; face 2 + i lies between the corners i - 1 and i.
@@ -306,7 +306,7 @@ def _corners(solid, face):
     return np.stack([first[i - 1], first[i], second[i], second[i - 1]])
 
 
-def back_to_front(solids, camera):
+def back_to_front(solids: dict[str, np.ndarray], camera) -> list[str]:
     """Sort convex solids so that each comes after all that it hides.
 
     A face of one of them mostly separates two of them, and the one on the viewer's side of that face is in front. Where

@@ -6,6 +6,7 @@ misprints repaired; ``docs/paper.md`` lists every repair with its reason.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import ClassVar
 
@@ -97,7 +98,7 @@ class PlantParameters:
         gravity = g * (m_m * l_m - m_t * l_t), 2 * g * m_cw * l_cw  # G_c, G_s
         return cls(*inertias, *gravity, C_phi, C_psi, K_psi, **limits)
 
-    def masses(self, *, l_m=0.202, l_t=0.216, l_cw=0.25, g=9.81):
+    def masses(self, *, l_m=0.202, l_t=0.216, l_cw=0.25, g=9.81) -> dict[str, float]:
         """Arguments of `from_masses` that lump into these parameters, for three lengths in m: a dict."""
         m_cw = self.G_s / (2 * g * l_cw)
         levers = 2 * m_cw * l_cw**2
@@ -106,7 +107,7 @@ class PlantParameters:
         lengths = {"l_m": l_m, "l_t": l_t, "l_cw": l_cw}
         return {"m_m": m_m, "m_t": m_t, "m_cw": m_cw, **lengths, "J_x": J_x, "J_z": J_z, "g": g}
 
-    def energy(self, x):
+    def energy(self, x) -> np.ndarray:
         """Kinetic plus potential energy in J of states ``x`` (..., 4) -> (...).
 
         ``d(energy)/dt = u_phi phidot + u_psi psidot - C_phi phidot^2 - C_psi psidot^2`` along every motion.
@@ -115,7 +116,7 @@ class PlantParameters:
         kinetic = (self.J_phi * phidot**2 + (self.J * np.cos(phi) ** 2 + self.J_psi0) * psidot**2) / 2
         return kinetic + self.G_c * np.sin(phi) - self.G_s * np.cos(phi) + self.K_psi * psi**2 / 2
 
-    def as_dict(self):
+    def as_dict(self) -> dict:
         """Name -> value, for provenance."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
@@ -137,12 +138,12 @@ class PrintedPlant(PlantParameters):
 
     velocity_term: ClassVar[str] = "as_printed"
 
-    def as_dict(self):
+    def as_dict(self) -> dict:
         """Name -> value, for provenance, with the velocity term."""
         return {**super().as_dict(), "velocity_term": self.velocity_term}
 
 
-def torque_limits(name, limits):
+def torque_limits(name: str, limits) -> tuple[float, float]:
     """``limits`` as two floats; raises a ValueError unless they are finite torques in order."""
     try:
         low, high = map(float, limits)
@@ -153,7 +154,7 @@ def torque_limits(name, limits):
     return low, high
 
 
-def equations_of_motion(parameters, functions=np):
+def equations_of_motion(parameters: PlantParameters, functions=np) -> Callable:
     """The accelerations as a function of six scalars or arrays (paper, Sec. II, corrected).
 
     Parameters
@@ -185,7 +186,7 @@ def equations_of_motion(parameters, functions=np):
     return as_printed if getattr(parameters, "velocity_term", "corrected") == "as_printed" else accelerations
 
 
-def vector_field(x, u, parameters):
+def vector_field(x, u, parameters: PlantParameters) -> np.ndarray:
     """``dx/dt = F(x, u)``: states (..., 4) and torques (..., 2) in N m -> (..., 4).
 
     Raises
@@ -199,7 +200,7 @@ def vector_field(x, u, parameters):
     return np.stack(np.broadcast_arrays(phidot, phiddot, psidot, psiddot), axis=-1)
 
 
-def jacobian(x, u, parameters):
+def jacobian(x, u, parameters: PlantParameters) -> tuple[np.ndarray, np.ndarray]:
     """Linearisation at (x, u): ``A = dF/dx`` (..., 4, 4) and ``B = dF/du`` (..., 4, 2)."""
     p = parameters
     phi, phidot, psi, psidot = np.moveaxis(_array("x", x, 4), -1, 0)
@@ -224,7 +225,7 @@ def jacobian(x, u, parameters):
     return A, B
 
 
-def rest_point(parameters, torques=(0.0, 0.0)):
+def rest_point(parameters: PlantParameters, torques=(0.0, 0.0)) -> np.ndarray:
     """The stable rest state (4,) under constant torques (N m), counterweight below the pivot.
 
     Raises
@@ -244,7 +245,7 @@ def rest_point(parameters, torques=(0.0, 0.0)):
     return np.array([phi, 0.0, u_psi / parameters.K_psi if u_psi else 0.0, 0.0])
 
 
-def simulate_plant(x0, torques, dt, parameters, *, step=0.01):
+def simulate_plant(x0, torques, dt: float, parameters: PlantParameters, *, step: float = 0.01) -> np.ndarray:
     """States at the sampling instants under torques that are held from one sample to the next.
 
     Parameters
@@ -291,7 +292,7 @@ def simulate_plant(x0, torques, dt, parameters, *, step=0.01):
     return np.moveaxis(np.array(states), (0, 1), (-2, -1))
 
 
-def stepper(parameters, dt, *, step=0.01, functions=math):
+def stepper(parameters: PlantParameters, dt: float, *, step: float = 0.01, functions=math) -> Callable:
     """The flow over one sample as ``advance((phi, phidot, psi, psidot), (u_phi, u_psi)) -> tuple``, torques held.
 
     Butcher's explicit Runge-Kutta method of order 6 with seven stages (J. C. Butcher, J. Austral. Math. Soc. 4, 1964,
