@@ -100,9 +100,7 @@ def absorb(
     pieces = stream.pieces()
     head = deque(several(pieces, 1 if saved else chunk))
     if not head:
-        raise ValueError(
-            "recording is empty; give a tras.Recording, the path of a file, an xarray.Dataset, or several."
-        )
+        raise ValueError("recording is empty; give a tras.Recording, a path, an xarray.Dataset, or several of them.")
     if not (saved or spread) and sum(piece.pairs for piece in head) < chunk:
         whole = stream.recording(head)
         return more(Fit.begin(model, whole, checked(ranges, whole)), whole, threads)
@@ -134,8 +132,7 @@ def more(fit: Fit, recording: Recording, threads=None) -> tuple[Fit, Recording, 
     return fit, scaled, held
 
 
-# ------------------------------------------------------------------------------------------------------------------ the
-# survey
+# ----------------------------------------------------------------------------------------------------------- the survey
 
 
 class _Survey(NamedTuple):

@@ -280,17 +280,12 @@ class StreamingLeastSquares:
         return new
 
     def solve(self, names=None) -> "LeastSquares":
-        """Solution over all rows so far; rows may be added afterwards.
+        """Solution over all rows so far, to be regularized if these do not determine it; rows may be added afterwards.
 
         Parameters
         ----------
         names : sequence of str, optional
             Names of the regressors, for messages.
-
-        Returns
-        -------
-        LeastSquares
-            Regularized solutions can be had of it even when its ``coefficients`` are not determined.
 
         Raises
         ------

@@ -25,8 +25,7 @@ from scipy.spatial import ConvexHull
 
 from tras.workflow import arguments
 
-# Solid part -> (colour, smooth?). Smooth parts are round and show no edges along their sides. The rotors differ in
-# grey.
+# Solid part -> (colour, smooth?). Smooth parts are round, without edges along their sides. The rotors differ in grey.
 SOLIDS = {
     name: (colour, smooth)
     for colour, smooth, names in (
@@ -168,7 +167,7 @@ def _yawing_parts():
     """The fork that carries the pitch axis, in beam coordinates at level beam: it follows yaw alone."""
     parts = {"fork": _box((-0.012, 0.012), (-0.036, 0.036), (_PILLAR_TOP, _PILLAR_TOP + 0.012))}
     for side, sign in (("left", 1), ("right", -1)):
-        parts[f"{side}_ear"] = _box((-0.012, 0.012), _span(0.028, 0.036, sign), (_PILLAR_TOP + 0.012, 0.014))
+        parts[f"{side}_ear"] = _box((-0.012, 0.012), sorted((sign * 0.028, sign * 0.036)), (_PILLAR_TOP + 0.012, 0.014))
     return parts
 
 
@@ -189,7 +188,7 @@ def _beam_parts(l_m, l_t, l_cw):
     for side, sign in (("left", 1), ("right", -1)):
         parts[f"{side}_axle"] = _cylinder((0, sign * 0.016, 0), (0, sign * 0.028, 0), 0.006)
         parts[f"{side}_stub"] = _cylinder((0, sign * 0.036, 0), (0, sign * 0.045, 0), 0.006)
-        parts[f"{side}_lever"] = _box((-0.005, 0.005), _span(0.045, 0.051, sign), (-l_cw - 0.01, 0.012))
+        parts[f"{side}_lever"] = _box((-0.005, 0.005), sorted((sign * 0.045, sign * 0.051)), (-l_cw - 0.01, 0.012))
         parts[f"{side}_weight"] = _cylinder((0, sign * 0.051, -l_cw), (0, sign * 0.071, -l_cw), 0.024)
     masses = [(l_m, 0, 0), (-l_t, 0, 0), (0, 0.061, -l_cw), (0, -0.061, -l_cw)]
     return parts | {name: np.array([point], dtype=float) for name, point in zip(MASSES, masses)}
@@ -266,10 +265,6 @@ def _propeller(centre, axis, radius):
     outline = np.concatenate([half, -half])
     flat = np.asarray(centre) + radius * (outline[:, :1] * along + outline[:, 1:] * across)
     return np.concatenate([flat, flat + 0.001 * np.asarray(axis)])
-
-
-def _span(near, far, sign):
-    return tuple(sorted((sign * near, sign * far)))
 
 
 # --------------------------------------------------------------------------------------------------------- drawing
