@@ -233,7 +233,7 @@ def test_dependent_functions_give_a_working_model_by_default_and_a_reason_withou
     assert model.score(torque_data) == pytest.approx(once.score(torque_data), rel=0.2)
     with pytest.raises(
         ValueError,
-        match="15 functions are linearly dependent on this data .numerical rank 11; gauss.*truncated or regularised",
+        match="15 functions are linearly dependent on this data .numerical rank 11; gauss.*truncated or regularized",
     ):
         tras.KoopmanModel(repeated(), predictor, regularization=None).fit(torque_data)
     with pytest.raises(ValueError, match="linearly dependent"):

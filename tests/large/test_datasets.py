@@ -1,4 +1,4 @@
-"""xarray's datasets, with chunks of Dask or without: read in slices, with the bits of the file, by one process or many workers."""
+"""xarray's datasets, with chunks of Dask or without: read in slices, with the bits of the file, by any worker."""
 
 import pickle
 import tracemalloc
@@ -16,7 +16,7 @@ OPENED = [{}, {"chunks": {}}, {"chunks": {"sample": 700}}]
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
-    """Trajectories of unequal lengths, two states and an input, the inputs' names before the states' in the alphabet."""
+    """Trajectories of unequal lengths; the input's name is before those of the two states in the alphabet."""
     rng = np.random.default_rng(4)
     lengths = [4001, 2, 2600]
     x = [np.cumsum(rng.normal(size=(n, 2)), axis=0) * 0.01 for n in lengths]
@@ -99,11 +99,11 @@ def test_a_bad_number_in_the_middle_is_named_and_the_checkpoint_kept(path, tmp_p
     recording, checkpoint = tras.Recording.read(path), tmp_path / "a.npz"
     good, bad = recording.to_xarray(), recording.to_xarray().copy(deep=True)
     bad["p"][4003 + 1900] = np.nan
-    given = iter([good, bad, good])
+    readings = iter([good, bad, good])
 
     class Damaged:
         def __iter__(self):
-            yield next(given)
+            yield next(readings)
 
     with pytest.raises(
         UnreadableError,

@@ -1,4 +1,4 @@
-"""One fit by several workers: the same bits whoever does the work, workers killed on the way, schedulers and workers that do not serve."""
+"""One fit by several workers: the same bits whoever does the work, workers killed on the way, mistakes."""
 
 import os
 import signal
@@ -39,10 +39,12 @@ def model(**options):
 
 
 def same(a, b):
+    names = "koopman_matrix", "W_", "outward_", "x_scale_", "strength_", "pairs_"
     return (
-        all(np.array_equal(getattr(a, name), getattr(b, name)) for name in ("koopman_matrix", "W_", "outward_", "x_scale_", "strength_", "pairs_"))
-        and np.array_equal(a.hull_.low, b.hull_.low) and np.array_equal(a.hull_.axes, b.hull_.axes)
-    )  # fmt: skip
+        all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)
+        and np.array_equal(a.hull_.low, b.hull_.low)
+        and np.array_equal(a.hull_.axes, b.hull_.axes)
+    )
 
 
 def test_none_and_several_workers_agree_to_the_bit(paths, cluster):

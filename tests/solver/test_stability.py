@@ -7,11 +7,11 @@ import pytest
 from scipy import linalg, optimize
 
 import tras
-from tras.solver.stability import excess_cost, spectral_radius, stable_change, stable_least_squares
+from tras.solver.stability import spectral_radius, stable_change, stable_least_squares
 
 
 def problem(seed, *, N=None, m=None, constant=True):
-    """(R, free, N) of an almost stable system: regressors ``[psi, u]``, correlated and of unequal size, and an A near a rotation, plus noise."""
+    """(R, free, N) of an almost stable system: correlated regressors of unequal size, A near a rotation, plus noise."""
     rng = np.random.default_rng(seed)
     N = int(rng.integers(1, 13)) + constant if N is None else N
     m = int(rng.integers(0, 4)) if m is None else m
@@ -33,6 +33,11 @@ def inner(coefficients, constant):
     """A without the constant's row and column."""
     c = int(constant)
     return coefficients[c : coefficients.shape[1], c:].T
+
+
+def excess_cost(R, free, coefficients):
+    """Each target's sum of squared residuals less that of the least-squares solution ``free``, (targets,)."""
+    return np.sum((R @ (coefficients - free)) ** 2, axis=0)
 
 
 def clipped_cost(R, free, constant, radius):
@@ -59,7 +64,8 @@ def test_constraint_holds_and_costs_less_than_clipping(constant, radius):
         assert max(spectral_radius(whole), spectral_radius(whole.T)) <= limit + 1e-10
         cost, clipped = excess_cost(R, free, X).sum(), clipped_cost(R, free, constant, radius)
         assert 0 < cost <= clipped * (1 + 1e-9)
-        # Excess cost is indeed the sum of squares over that of the free solution: against targets off the range of the regressors.
+        # Excess cost is indeed the sum of squares over that of the free solution: against targets off the range of the
+        # regressors.
         Q = np.linalg.qr(np.random.default_rng(seed).normal(size=(3 * len(R), len(R) + N)))[0]
         regressors = Q[:, : len(R)] @ R
         targets = regressors @ free + Q[:, len(R) :]
@@ -126,7 +132,7 @@ def test_no_small_feasible_change_is_much_better():
 
 
 def test_regressors_too_dependent_for_their_own_coordinates():
-    """Condition numbers of 1e5 to 1e12 with coefficients that no data of that kind would give: still no worse than clipping."""
+    """Condition numbers of 1e5 to 1e12 with coefficients that no such data have: still no worse than clipping."""
     for seed in range(12):
         rng = np.random.default_rng(seed)
         R, free = np.triu(rng.normal(size=(12, 12))) * 10.0 ** rng.uniform(-3, 3, 12), rng.normal(size=(12, 12))
@@ -136,18 +142,19 @@ def test_regressors_too_dependent_for_their_own_coordinates():
 
 
 def nearest_2x2(F, W, starts=8):
-    """Brute force: a real 2 x 2 matrix is stable iff ``|det| <= 1`` and ``|trace| <= 1 + det``; local searches from many points."""
+    """Local searches from many points: a real 2 x 2 matrix is stable iff ``|det| <= 1`` and ``|trace| <= 1 + det``."""
     rng = np.random.default_rng(0)
     limits = [lambda a: 1 - det(a), lambda a: 1 + det(a) - a[0] - a[3], lambda a: 1 + det(a) + a[0] + a[3]]
-    found = []
+    costs = []
     for k in range(starts):
         search = optimize.minimize(
-            lambda a: np.sum(((a.reshape(2, 2) - F) @ W) ** 2), F.ravel() + 0.5 * (k > 0) * rng.normal(size=4), method="SLSQP",
-            constraints=[{"type": "ineq", "fun": limit} for limit in limits], options={"ftol": 1e-12, "maxiter": 300},
+            lambda a: np.sum(((a.reshape(2, 2) - F) @ W) ** 2), F.ravel() + 0.5 * (k > 0) * rng.normal(size=4),
+            method="SLSQP", constraints=[{"type": "ineq", "fun": limit} for limit in limits],
+            options={"ftol": 1e-12, "maxiter": 300},
         )  # fmt: skip
         if search.success and spectral_radius(search.x.reshape(2, 2)) < 1 + 1e-5:
-            found.append(search.fun)
-    return min(found)
+            costs.append(search.fun)
+    return min(costs)
 
 
 def det(a):
@@ -169,7 +176,7 @@ def test_against_brute_force_over_all_2x2_matrices():
 
 
 def test_symmetric_matrices_have_a_known_nearest_one():
-    """In the Frobenius norm a symmetric (normal) matrix has none nearer than itself with its eigenvalues drawn back, nor has a scalar."""
+    """In the Frobenius norm the nearest to a symmetric matrix is itself with its eigenvalues drawn back."""
     rng = np.random.default_rng(2)
     Q = np.linalg.qr(rng.normal(size=(5, 5)))[0]
     w = np.array([1.4, 1.1, 0.5, -0.2, -1.2])
@@ -194,7 +201,7 @@ def test_defective_and_dependent_problems_stay_within_the_circle():
 
 @pytest.fixture(scope="module")
 def lifted(experiment):
-    """Closed-loop data, torques as inputs, scaled to [-1, 1]: (states, inputs in one run, dictionary, fit in the terms of the model)."""
+    """Closed-loop data, torques as inputs, scaled to [-1, 1]: (first lifted state, all inputs, R, D of the fit)."""
     recording = experiment.select(inputs=["u_phi", "u_psi"])
     x, u = (np.concatenate(part) for part in zip(*recording))
     middle, half = [(a.max(0) + a.min(0)) / 2 for a in (x, u)], [(a.max(0) - a.min(0)) / 2 for a in (x, u)]

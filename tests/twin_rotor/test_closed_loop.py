@@ -1,4 +1,4 @@
-"""The simulated experiment: sample and hold, limits, anti-windup, bumpless start, what is recorded; many runs at once."""
+"""The simulated experiment: sample and hold, limits, anti-windup, bumpless start, records; many runs at once."""
 
 import dataclasses
 

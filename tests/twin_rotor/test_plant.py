@@ -73,7 +73,7 @@ def test_the_printed_term_breaks_the_energy_balance(plant, x, u):
 
 @pytest.mark.parametrize("kind, gains", [(tras.PlantParameters, False), (tras.PrintedPlant, True)])
 def test_the_printed_term_creates_energy_round_a_closed_path(kind, gains):
-    """Held by hand (u balances everything) along pitch up at yaw 0, yaw to 2, pitch down there, yaw back: the hand's work must be zero."""
+    """Held by hand along pitch up at yaw 0, yaw to 2, pitch down there, yaw back: the hand's work must be zero."""
     plant = kind(C_phi=0, C_psi=0)
     corners = np.array([[-0.8, 0.0], [0.8, 0.0], [0.8, 2.0], [-0.8, 2.0], [-0.8, 0.0]])
     path = np.vstack([np.linspace(a, b, 2001) for a, b in zip(corners, corners[1:])])
@@ -101,7 +101,7 @@ def test_the_printed_plant_says_so_and_the_corrected_one_is_unchanged():
 
 
 def test_equations_are_lagranges():
-    """The very function that simulates, fed with sympy symbols, solves Lagrange's equations derived here from T and V."""
+    """The function that simulates, fed with sympy symbols, solves Lagrange's equations derived here from T and V."""
     t, u_phi, u_psi = sympy.symbols("t u_phi u_psi")
     phi, psi = sympy.Function("phi")(t), sympy.Function("psi")(t)
     names = "m_m m_t m_cw l_m l_t l_cw J_x J_z C_phi C_psi K_psi g"
@@ -158,7 +158,7 @@ def dop853(x0, held, dt, plant):
 
 
 def random_runs(seed, count):
-    """Rates of 3 and 10 rad/s at the start; random, bang-bang and constant torques in turn: (name, x0, held for 6 s at 0.01 s)."""
+    """(name, x0, torques for 6 s at 0.01 s): initial rates of 3 and 10 rad/s; random, bang-bang, constant torques."""
     rng = np.random.default_rng(seed)
     for i in range(count):
         rate = (3, 10)[i % 2]
@@ -201,7 +201,7 @@ def test_integrator_against_dop853(case, parameters):
 
 
 def test_speed_that_grows_inside_a_long_sample(parameters):
-    """Ten times the torque that the rig can give, from rest, held for 1.5 s: far outside the promise, but no nonsense."""
+    """Ten times the torque of the rig, from rest, held for 1.5 s: far outside the promise, but no nonsense."""
     x0, held = [0, 0, 0, 0], np.full((2, 2), 2.0)
     ours = tras.simulate_plant(x0, held, 1.5, parameters)
     assert np.abs(ours[-1]).max() > 50
@@ -209,7 +209,7 @@ def test_speed_that_grows_inside_a_long_sample(parameters):
 
 
 def test_where_dop853_itself_is_wrong_by_more_than_1e_9(parameters, monkeypatch):
-    """Not in the table above: this motion magnifies a disturbance 100000 times in 6 s, and DOP853 at rtol 1e-12 pays for it."""
+    """This motion magnifies a disturbance 100000 times in 6 s, and DOP853 at rtol 1e-12 pays for it."""
     _, x0, held = list(random_runs(0, 111))[110]
     ours, disturbed = (tras.simulate_plant(x, held, 0.01, parameters) for x in (x0, x0 + [1e-8, 0, 0, 0]))
     assert np.abs(disturbed - ours).max() > 1e-8 * 1e4

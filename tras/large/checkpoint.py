@@ -1,6 +1,10 @@
-"""Checkpoints of a fit that takes long: where it was in the data, and all that it had learnt of them."""
+"""Checkpoints of a fit that takes long: where it is in the data, and all that it has learnt of them."""
 
+import contextlib
+import copy
 import json
+import time
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -11,27 +15,20 @@ from tras.model_file import UNREADABLE, read_npz
 from tras.workflow.files import replacing
 
 _FORMAT = "tras checkpoint 2"
+_REMEDY = "give another path, or delete it to begin anew"
 
 
 class CheckpointError(ValueError):
     """The file is no checkpoint, or one of another model or other data."""
 
 
-def write(path, model, state, header, survey):
-    """Store ``header`` (what JSON holds), the state of a fit, and the arrays of the survey beside the model's parameters."""
-    arrays = state | {f"survey.{key}": value for key, value in survey.items()}
-    header = header | {"format": _FORMAT, "model": described(model)}
-    with replacing(_npz_path(path)) as temporary:
-        np.savez(temporary, header=np.array(json.dumps(header)), **arrays)
-
-
-def read(path, model, **same):
+def read_checkpoint(path, model, chunk: int) -> tuple[dict, dict, dict] | None:
     """(header, survey's arrays, state of the fit); None if there is no file.
 
     Raises
     ------
     CheckpointError
-        If it is damaged, belongs to another model, or its header holds another value for a name in ``same``.
+        If it is damaged, or belongs to another model or another ``chunk``.
     """
     path = _npz_path(path)
     if not path.exists():
@@ -41,7 +38,16 @@ def read(path, model, **same):
         survey = {key.partition(".")[2]: value for key, value in arrays.items() if key.startswith("survey.")}
         state = {key: value for key, value in arrays.items() if not key.startswith("survey.")}
         rows_and_hull(state)  # a damaged one is found here, not in the middle of a fit
-        _require_same(path, header, same | {"model": described(model)})
+        parameters = json.loads(json.dumps(_described(model)))
+        for kind, name, before, now in (
+            ("a fit with another option", "chunk", header["chunk"], chunk),
+            *(("another model", name, header["model"].get(name), now) for name, now in parameters.items()),
+        ):
+            if before != now:
+                raise CheckpointError(
+                    f"checkpoint {path} belongs to {kind}: its {name} is {before!r}, here it is {now!r}; "
+                    f"use what it was made with, {_REMEDY}."
+                )
     except CheckpointError:
         raise
     except UNREADABLE as error:
@@ -49,30 +55,93 @@ def read(path, model, **same):
     return header, survey, state
 
 
-def _require_same(path, header, wanted):
-    wanted = json.loads(json.dumps(wanted))
-    for name, now in wanted.items():
-        before = header[name]
-        if before == now:
-            continue
-        if name == "model":
-            name = next(key for key in now if before.get(key) != now[key])
-            before, now = before.get(name), now[name]
-        kind = "another model" if name in wanted["model"] else "a fit with another option"
-        raise CheckpointError(
-            f"checkpoint {path} belongs to {kind}: its {name} is {before!r}, here it is {now!r}; "
-            "use what it was made with, give another path, or delete it to begin anew."
-        )
+def other_data(path, reason: str) -> CheckpointError:
+    """The `CheckpointError` to raise."""
+    return CheckpointError(
+        f"checkpoint {path} belongs to other data ({reason}); use the data it was made of, {_REMEDY}."
+    )
 
 
-def described(model):
-    """What the rows of the least-squares problem depend on, as JSON holds it: the method and strength that solve it do not matter."""
+class Log:
+    """How far the pass over the data is, and the file that remembers it; without a ``path`` nothing is written.
+
+    ``saved`` is what `read_checkpoint` returned: the fit and the count of pieces go on from there.
+    """
+
+    def __init__(self, path, model, fit, survey, labels, chunk, every, saved):
+        self.path, self.fit, self.survey, self.every = path, fit, survey, every
+        self.header = {"labels": labels, "total": survey.pairs, "chunk": chunk, "done": 0, "crc": 0, "finished": False}
+        self.header |= {"format": _FORMAT, "model": _described(model)}
+        if saved:
+            header, _, state = saved
+            fit.restore(state)
+            self.header |= {key: header[key] for key in ("done", "crc", "finished")}
+        self.stored = self.header["done"]
+        self.crc, self.written = 0, time.monotonic()
+
+    def knows(self, number: int, piece) -> bool:
+        """Whether the piece was absorbed before the file was written; a CheckpointError if earlier ones were others."""
+        done = self.header["done"]
+        if self.path is not None:
+            for values in (piece.x, piece.u):
+                self.crc = zlib.crc32(np.ascontiguousarray(values), self.crc)
+        if self.header["finished"] and number >= done:
+            raise other_data(self.path, "there are more of them now")
+        if number == done - 1 and self.crc != self.header["crc"]:
+            raise other_data(self.path, "numbers have changed")
+        return number < done
+
+    def require_end(self, count, pairs):
+        """The data ended where they should."""
+        if count < self.header["done"]:
+            raise other_data(self.path, "there are fewer of them now")
+        if self.survey.pairs not in (None, pairs):
+            first = f"recording gave {self.survey.pairs} snapshot pairs when it was read first"
+            raise ValueError(f"{first}, and {pairs} now; it has to give the same each time.")
+
+    @contextlib.contextmanager
+    def chunk_until(self, number, last=False):
+        """Around the absorbing of a chunk that ends with a piece: counted when it is done, taken back when it fails."""
+        before = copy.copy(self.fit)
+        try:
+            yield
+        except BaseException:  # also when interrupted from the keyboard
+            vars(self.fit).update(vars(before))
+            raise
+        due = not self.header["finished"] if last else time.monotonic() - self.written >= self.every
+        self.header |= {"done": number + 1, "crc": self.crc, "finished": last}
+        if self.path is not None and due:
+            self.write()
+
+    def rescue(self) -> bool:
+        """Write what is not written yet; whether there is a checkpoint."""
+        if self.path is None:
+            return False
+        if self.header["done"] > self.stored:
+            self.write()
+        return Path(self.path).exists()
+
+    def write(self):
+        """Store the header, the state of the fit, and the arrays of the survey."""
+        arrays = self.fit.state() | {f"survey.{key}": value for key, value in self.survey.arrays().items()}
+        with replacing(_npz_path(self.path)) as temporary:
+            np.savez(temporary, header=np.array(json.dumps(self.header)), **arrays)
+        self.written, self.stored = time.monotonic(), self.header["done"]
+
+
+def _described(model):
+    """What the rows of the least-squares problem depend on; the method and strength that solve it do not matter."""
     chooses = model.regularization is not None and model.strength == "auto"
+    linear = model.predictor == "lifted_linear"
     return {
-        "dictionary": spelled(model.dictionary), "predictor": "lifted_linear" if model.predictor == "lifted_linear" else "vector_field or one_step",
-        "delays": int(model.delays), "earlier inputs": bool(model.delays and model.predictor != "vector_field"),
-        "extrapolation": model.extrapolation, "columns": model.columns, "strength": "auto" if chooses else "given",
-    }  # fmt: skip
+        "dictionary": spelled(model.dictionary),
+        "predictor": "lifted_linear" if linear else "vector_field or one_step",
+        "delays": int(model.delays),
+        "earlier inputs": bool(model.delays and model.predictor != "vector_field"),
+        "extrapolation": model.extrapolation,
+        "columns": model.columns,
+        "strength": "auto" if chooses else "given",
+    }
 
 
 def _npz_path(path):

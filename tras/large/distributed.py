@@ -1,12 +1,12 @@
-"""One fit by many workers: each absorbs a part of the data, and what they found is merged in the order of the parts.
+"""One fit by many workers: each absorbs a part of the data, and their states are merged in the order of the parts.
 
-The parts do not depend on the workers, and all of them begin with one basis, which is made here of the first pairs. So one worker, four, and none
-give the same bits for the same number of parts, as long as the machines do (processor, libraries; BLAS is held to one thread). Another number of parts, or a
-fit without parts, adds the same rows in another order, and differs by rounding.
+The parts do not depend on the workers, and all begin with one basis, which is made here of the first pairs. So one
+worker, four, and none give the same bits for the same number of parts, as long as the machines do (processor,
+libraries; BLAS is held to one thread). Another number of parts, or none, adds the same rows in another order: it
+differs by rounding.
 
-What travels: to a worker, once, the fit without rows (dictionary and scales, some kilobytes), names of files, datasets as xarray pickles them (a name
-or a graph, unless their numbers are in memory), or the recordings themselves; back from it, for each part, the solver's state, about four matrices of the
-size of K.
+What travels: to a worker, once, the fit without rows (some kilobytes), names of files, datasets as xarray pickles them,
+or the recordings themselves; back from it, for each part, the solver's state, about four matrices of the size of K.
 """
 
 import copy
@@ -21,14 +21,14 @@ from tras.workflow.executors import SchedulerError
 _PARTS = 16
 
 
-def absorb(fit, stream, held, length, chunk, scheduler=None, parts=None, bar=None):
-    """What `tras.large.streaming` does for one process, by several: the fit holds all pairs but the held-out ones afterwards.
+def absorb(fit, stream, held, length, chunk, scheduler, parts, bar):
+    """What `tras.large.streaming` does for one process, by several: the fit then holds all pairs not held out.
 
     Parameters
     ----------
     scheduler : None, "processes" or str
-        None: one part after the other in this process. "processes": local processes, one per core. An address such as "tcp://host:8786": the
-        workers of that Dask scheduler, which must see the files under the same paths.
+        None: one part after the other in this process. "processes": local processes, one per core. An address such as
+        "tcp://host:8786": the workers of that Dask scheduler, which must see the files under the same paths.
     parts : int, optional
         Parts of the data; default 16, or the number of chunks if there are fewer.
 
@@ -44,20 +44,17 @@ def absorb(fit, stream, held, length, chunk, scheduler=None, parts=None, bar=Non
     vars(fit).update(vars(copy.copy(empty)))
     borders = [k * len(groups) // parts for k in range(parts + 1)]
     shares = [groups[a:b] for a, b in itertools.pairwise(borders)]
-    results = executors.run(
-        absorb_part, [(share,) for share in shares], (empty, stream, held, length), scheduler=scheduler, ordered=True
-    )
-    for k, result in results:
+    jobs, shared = [(share,) for share in shares], (empty, stream, held, length)
+    for k, result in executors.run(absorb_part, jobs, shared, scheduler=scheduler, ordered=True):
         if isinstance(result, executors.Lost):
             raise SchedulerError(f"part {k} of {parts} was lost: {result.reason}; use a smaller chunk.")
         with one_blas_thread():
             fit.merge(result)
-        if bar is not None:
-            bar.update(sum(pairs for _, _, pairs in shares[k]))
+        bar.update(sum(pairs for _, _, pairs in shares[k]))
 
 
 def absorb_part(fit, stream, held, length, groups):
-    """What one worker does: the state of a fit of some chunks."""
+    """What one worker does for some chunks: the state of a fit of them."""
     fit = copy.copy(fit)
     with one_blas_thread():
         for first, last, _ in groups:
@@ -68,10 +65,9 @@ def absorb_part(fit, stream, held, length, groups):
 
 def _scaled(fit, stream, first, last, held, length):
     """Scaled trajectories of some pieces, without what is held out."""
-    for number, piece in enumerate(stream.pieces(first, last), start=first):
-        pieces = without(piece, held.get(number, ()), length, stream.shared)
-        if pieces:
-            yield from fit.channels.scaled(stream.recording(pieces))
+    pieces = enumerate(stream.pieces(first, last), start=first)
+    rest = (part for number, piece in pieces for part in without(piece, held.get(number, ()), length, stream.shared))
+    return stream.scaled(rest, fit.channels)
 
 
 def _chunks(stream, chunk):
@@ -86,7 +82,7 @@ def _chunks(stream, chunk):
 
 
 def _prepare(fit, stream, group, held, length):
-    """A fit without rows, its basis and the hull's axes those of the first blocks of pairs as one process would take them."""
+    """A fit without rows, with the basis and the hull's axes that one process would make of the first blocks."""
     scaled, first = _scaled(fit, stream, *group[:2], held, length), copy.copy(fit)
     with one_blas_thread():
         first.absorb(scaled, threads=1, most=panels_of_a_basis(len(fit.names)))

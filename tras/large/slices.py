@@ -1,11 +1,11 @@
-"""Recordings larger than memory: files and xarray's datasets, of which nothing is loaded but names and lengths, and streams of them.
+"""Recordings larger than memory: files and xarray's datasets, of which only names and lengths are loaded, and streams.
 
-A piece is a stretch of one trajectory. Neighbours share as many samples as a snapshot pair reaches over, so no pair is lost, and none reaches from one
-trajectory into the next.
+A piece is a stretch of one trajectory. Neighbours share as many samples as a snapshot pair reaches over, so no pair is
+lost, and none reaches from one trajectory into the next.
 """
 
 import contextlib
-import functools
+import copy
 import itertools
 from pathlib import Path
 from typing import NamedTuple
@@ -15,6 +15,9 @@ import numpy as np
 
 from tras.io.limits import FORMAT
 from tras.recording import Recording, require_alike
+
+_LABELS = ("state_names", "state_units", "input_names", "input_units")
+_TOGETHER = 2**16  # pairs that are scaled at once
 
 
 class UnreadableError(ValueError):
@@ -30,9 +33,9 @@ class Piece(NamedTuple):
 
 
 class _Lazy:
-    """What is known without reading: ``dt, lengths, state_names, state_units, input_names, input_units``, and a ``name`` for messages.
+    """What is known without reading: ``dt``, ``lengths``, names and units, and a ``name`` for messages.
 
-    A subclass supplies ``_channels``: a context with a mapping from the channels' names to what gives an array for a slice of samples.
+    A subclass supplies ``_channels``: a context with a mapping from channels to what returns an array for a slice.
     """
 
     _unreadable = (OSError, RuntimeError, KeyError)  # what reading a slice may raise
@@ -46,17 +49,13 @@ class _Lazy:
         if self.lengths.sum() != sizes["sample"]:
             raise ValueError(f"row_size sums to {self.lengths.sum()} but there are {sizes['sample']} samples")
         for role in ("state", "input"):
-            variables = [
-                (int(v.attrs["position"]), name, v.attrs["units"])
-                for name, v in source.variables.items()
-                if v.attrs.get("role") == role
-            ]
-            variables.sort()
-            setattr(self, f"{role}_names", tuple(name for _, name, _ in variables))
-            setattr(self, f"{role}_units", tuple(unit for _, _, unit in variables))
+            channels = [item for item in source.variables.items() if item[1].attrs.get("role") == role]
+            channels.sort(key=lambda item: int(item[1].attrs["position"]))
+            setattr(self, f"{role}_names", tuple(name for name, _ in channels))
+            setattr(self, f"{role}_units", tuple(variable.attrs["units"] for _, variable in channels))
 
     @property
-    def pairs(self):
+    def pairs(self) -> int:
         """Number of snapshot pairs."""
         return int(np.sum(self.lengths - 1))
 
@@ -65,23 +64,19 @@ class _Lazy:
 
     def __repr__(self):
         channels = f"states {', '.join(self.state_names)}; inputs {', '.join(self.input_names) or 'none'}"
-        return f"{type(self).__name__}: {self.name}, {len(self)} trajectories, {self.pairs} pairs at {self.dt:g} s; {channels}"
+        size = f"{len(self)} trajectories, {self.pairs} pairs at {self.dt:g} s"
+        return f"{type(self).__name__}: {self.name}, {size}; {channels}"
 
     def select(self, *, states=None, inputs=None):
         """The same data with only the named channels, in the order given."""
-        new = object.__new__(type(self))
-        new.__dict__.update(self.__dict__)
-        empty = self.nothing().select(states=states, inputs=inputs)
-        for label in ("state_names", "state_units", "input_names", "input_units"):
-            setattr(new, label, getattr(empty, label))
+        new, empty = copy.copy(self), self.nothing().select(states=states, inputs=inputs)
+        vars(new).update({label: getattr(empty, label) for label in _LABELS})
         return new
 
-    def nothing(self):
+    def nothing(self) -> Recording:
         """A `Recording` with these labels and one sample of zeros."""
-        labels = {label: getattr(self, label) for label in ("state_names", "state_units", "input_names", "input_units")}
-        return Recording(
-            np.zeros((1, 1, len(self.state_names))), np.zeros((1, 1, len(self.input_names))), self.dt, **labels
-        )
+        x, u = (np.zeros((1, 1, len(names))) for names in (self.state_names, self.input_names))
+        return Recording(x, u, self.dt, **{label: getattr(self, label) for label in _LABELS})
 
     def pieces(self, size, shared=1, first=0, last=None):
         """Every `Piece` of at most ``size`` pairs, in order; or only those of the numbers ``first`` to ``last - 1``.
@@ -94,10 +89,9 @@ class _Lazy:
         starts = np.cumsum(self.lengths) - self.lengths
         with self._channels() as channels:
             for i, a, b in itertools.islice(spans(self.lengths, size, shared), first, last):
-                both = (self.state_names, self.input_names)
-                yield Piece(
-                    *(self._read(channels, names, starts[i], i, a, b) for names in both), b - a - shared
-                )  # and keep nothing of it
+                both = self.state_names, self.input_names
+                # The arrays get no name here, so none is kept.
+                yield Piece(*(self._read(channels, names, starts[i], i, a, b) for names in both), b - a - shared)
 
     def _read(self, channels, names, start, i, first, last):
         values = np.empty((last - first, len(names)))
@@ -106,24 +100,20 @@ class _Lazy:
                 column[:] = channels[name][start + first : start + last]
             except self._unreadable as error:
                 raise UnreadableError(
-                    f"{self.name}: channel {name!r} of trajectory {i} cannot be read between its samples {first} and {last - 1} ({error}); "
-                    "restore it, or leave the trajectory out."
+                    f"{self.name}: channel {name!r} of trajectory {i} cannot be read between its samples {first} and "
+                    f"{last - 1} ({error}); restore it, or leave the trajectory out."
                 ) from error
         if not np.isfinite(values).all():
             sample, channel = np.argwhere(~np.isfinite(values))[0]
             raise UnreadableError(
-                f"{self.name}: channel {names[channel]!r} is {values[sample, channel]} in trajectory {i} at sample {first + sample}; "
-                "repair it or cut the trajectory there."
+                f"{self.name}: channel {names[channel]!r} is {values[sample, channel]} in trajectory {i} at sample "
+                f"{first + sample}; repair it or cut the trajectory there."
             )
         return values
 
 
 class RecordingFile(_Lazy):
     """A file that `Recording.write` has written, of which nothing is loaded but names and lengths.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
 
     Attributes
     ----------
@@ -138,23 +128,19 @@ class RecordingFile(_Lazy):
         If it is not a NetCDF-4 file or not a recording.
     """
 
-    def __init__(self, path):
+    def __init__(self, path: str | Path):
         self.path = Path(path)
         if self.path.suffix != ".nc":
-            raise ValueError(
-                f"{self.path} ends in {self.path.suffix!r}; only .nc files are read piece by piece: write one with Recording.write."
-            )
+            kinds = "only .nc files are read piece by piece: write one with Recording.write"
+            raise ValueError(f"{self.path} ends in {self.path.suffix!r}; {kinds}.")
         if not self.path.is_file():
-            raise FileNotFoundError(
-                f"{self.path} does not exist; give the path of a file that Recording.write has written."
-            )
+            raise FileNotFoundError(f"{self.path} does not exist; give the path of a file that Recording.write made.")
         try:
             with h5netcdf.File(self.path, "r") as file:
                 self._describe(file, {name: dimension.size for name, dimension in file.dimensions.items()})
         except (OSError, KeyError, AttributeError, TypeError, ValueError, RuntimeError) as error:
-            raise ValueError(
-                f"{self.path} cannot be read as a recording ({error}); make it again with Recording.write."
-            ) from error
+            remedy = "make it again with Recording.write"
+            raise ValueError(f"{self.path} cannot be read as a recording ({error}); {remedy}.") from error
 
     @property
     def name(self):
@@ -171,19 +157,15 @@ class RecordingFile(_Lazy):
 
 
 class RecordingDataset(_Lazy):
-    """An ``xarray.Dataset`` as `Recording.to_xarray` makes it and `Recording.write` stores it, opened with or without ``chunks=``.
+    """An ``xarray.Dataset`` as `Recording.to_xarray` makes it, opened with or without ``chunks=``.
 
-    It is read in slices by the process that needs them; no channel is loaded whole. A chunk of Dask that is larger than a slice is read anew for each.
-    Where it is sent it travels as xarray pickles it: the name of its file, a graph of Dask, or the numbers themselves if they are in memory.
-
-    Parameters
-    ----------
-    dataset : xarray.Dataset
+    It is read in slices by the process that needs them. A chunk of Dask that is larger than a slice is read anew for
+    each. It travels as xarray pickles it: the name of its file, a graph of Dask, or numbers that are in memory.
 
     Raises
     ------
     ValueError
-        If it is none of a recording.
+        If it is not that of a recording.
     """
 
     name = "the dataset"
@@ -194,14 +176,13 @@ class RecordingDataset(_Lazy):
         try:
             self._describe(dataset, dataset.sizes)
             for name in (*self.state_names, *self.input_names):
-                if dataset[name].dims != ("sample",) or dataset[name].dtype.kind not in "fiu":
-                    raise ValueError(
-                        f"{name!r} is {dataset[name].dtype} along {', '.join(dataset[name].dims)}, not numbers along sample"
-                    )
+                values = dataset[name]
+                if values.dims != ("sample",) or values.dtype.kind not in "fiu":
+                    kind = f"{values.dtype} along {', '.join(values.dims)}"
+                    raise ValueError(f"{name!r} is {kind}, not numbers along sample")
         except (KeyError, AttributeError, TypeError, ValueError) as error:
-            raise ValueError(
-                f"the dataset cannot be read as a recording ({error}); open a file that Recording.write has written."
-            ) from error
+            remedy = "open a file that Recording.write has written"
+            raise ValueError(f"the dataset cannot be read as a recording ({error}); {remedy}.") from error
 
     @contextlib.contextmanager
     def _channels(self):
@@ -212,40 +193,22 @@ class _Slices(NamedTuple):
     variable: object
 
     def __getitem__(self, samples):
-        return (
-            self.variable[samples].compute(scheduler="synchronous").to_numpy()
-        )  # a worker's other threads are not its own
+        # A worker's other threads have work of others.
+        return self.variable[samples].compute(scheduler="synchronous").to_numpy()
 
 
 def spans(lengths, size, shared):
     """(trajectory, first sample, last sample + 1) of every piece."""
     for i, length in enumerate(lengths):
         if length < shared:
-            raise ValueError(
-                f"trajectory {i} has {length} samples, too few for {shared - 1} delays; leave it out or use fewer delays."
-            )
+            few = f"trajectory {i} has {length} samples, too few for {shared - 1} delays"
+            raise ValueError(f"{few}; leave it out or use fewer delays.")
         for first in range(0, max(int(length) - shared, 1), size):
             yield i, first, int(min(first + size + shared, length))
 
 
-def open_recording(path):
-    """A file that `Recording.write` has written, to be read piece by piece: for recordings larger than memory.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Of a .nc file.
-
-    Returns
-    -------
-    RecordingFile
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is not a NetCDF-4 file or not a recording.
+def open_recording(path: str | Path) -> RecordingFile:
+    """A `RecordingFile`, to be read piece by piece: for recordings larger than memory.
 
     Examples
     --------
@@ -261,7 +224,7 @@ def open_recording(path):
 _READABLE = (Recording, RecordingFile, RecordingDataset)
 
 
-def is_dataset(source):
+def is_dataset(source) -> bool:
     """Whether it is an ``xarray.Dataset``; xarray is not imported to find out."""
     return hasattr(source, "data_vars") and hasattr(source, "sizes")
 
@@ -282,27 +245,22 @@ class Stream:
         self.once = hasattr(source, "__next__")
 
     def pieces(self, first=0, last=None):
-        """Each `Piece` in order, or those numbered ``first`` to ``last - 1``; from the beginning each time, unless it can be read once only."""
+        """Each `Piece` in order, or those numbered ``first`` to ``last - 1``; from the beginning, if it can be."""
         for recording in self.recordings():
             count = sum(1 for _ in spans(recording.lengths, self.size, self.shared)) if first or last is not None else 0
             if first < count or not count:
-                read = (
-                    functools.partial(_in_memory, recording) if isinstance(recording, Recording) else recording.pieces
-                )
-                yield from read(self.size, self.shared, first, last)
+                read = _in_memory if isinstance(recording, Recording) else type(recording).pieces
+                yield from read(recording, self.size, self.shared, first, last)
             first, last = max(0, first - count), None if last is None else last - count
             if last is not None and last <= 0:
                 return
 
-    def counts(self):
+    def counts(self) -> list[int]:
         """Pairs of each piece; nothing is read."""
-        return [
-            b - a - self.shared
-            for recording in self.recordings()
-            for _, a, b in spans(recording.lengths, self.size, self.shared)
-        ]
+        lengths = (recording.lengths for recording in self.recordings())
+        return [b - a - self.shared for some in lengths for _, a, b in spans(some, self.size, self.shared)]
 
-    def opened(self):
+    def opened(self) -> "Stream":
         """The same stream, of files that are open to be read anywhere and of recordings."""
         new = Stream(list(self.recordings()), self.size, self.shared)
         new.template = self.template
@@ -311,33 +269,46 @@ class Stream:
     def recordings(self):
         """Each recording, file or dataset in turn, all with the same channels."""
         source = self.source() if callable(self.source) else self.source
-        for k, item in enumerate(
-            [source] if isinstance(source, (str, Path, *_READABLE)) or is_dataset(source) else source
-        ):
-            recording = (
-                RecordingFile(item)
-                if isinstance(item, (str, Path))
-                else RecordingDataset(item)
-                if is_dataset(item)
-                else item
-            )
-            if not isinstance(recording, _READABLE):
-                raise ValueError(
-                    f"recording {k} is {type(item).__name__}; give a tras.Recording, the path of a file or an xarray.Dataset."
-                )
+        single = isinstance(source, (str, Path, *_READABLE)) or is_dataset(source)
+        for k, item in enumerate([source] if single else source):
+            if isinstance(item, (str, Path)):
+                item = RecordingFile(item)
+            elif is_dataset(item):
+                item = RecordingDataset(item)
+            elif not isinstance(item, _READABLE):
+                remedy = "give a tras.Recording, the path of a file or an xarray.Dataset"
+                raise ValueError(f"recording {k} is {type(item).__name__}; {remedy}.")
             if self.template is None:
-                self.template = recording[:1] if isinstance(recording, Recording) else recording.nothing()
-            require_alike(self.template, recording, k)
-            yield recording
+                self.template = item[:1] if isinstance(item, Recording) else item.nothing()
+            require_alike(self.template, item, k)
+            yield item
 
-    def recording(self, pieces):
+    def recording(self, pieces) -> Recording:
         """A `Recording` of some pieces."""
         x, u = zip(*((piece.x, piece.u) for piece in pieces))
         return self.template.with_data(list(x), list(u))
 
+    def scaled(self, pieces, channels):
+        """Scaled trajectories of an iterator of pieces, which are forgotten on the way."""
+        while together := several(pieces, _TOGETHER):
+            recording = channels.scaled(self.recording(together))
+            del together
+            yield from recording
 
-def without(piece, starts, length, shared):
-    """What is left of a piece when the pairs ``start`` to ``start + length`` are taken out, for each start in order: a list of pieces."""
+
+def several(pieces, pairs: int) -> list[Piece]:
+    """The next pieces of an iterator, of so many pairs together; fewer at its end."""
+    group, count = [], 0
+    for piece in pieces:
+        group.append(piece)
+        count += piece.pairs
+        if count >= pairs:
+            break
+    return group
+
+
+def without(piece: Piece, starts, length: int, shared: int) -> list[Piece]:
+    """What is left of a piece without the pairs ``start`` to ``start + length`` for each start in order: a list."""
     pieces, begin = [], 0
     for start, after in [*((start, start + length) for start in starts), (piece.pairs, piece.pairs)]:
         if start > begin:

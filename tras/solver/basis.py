@@ -1,4 +1,4 @@
-"""A basis in which rows of functions are nearly orthonormal, for `tras.solver.least_squares`: made of a sample of the rows, applied to all."""
+"""A basis in which rows of functions are nearly orthonormal: made of a sample of the rows, applied to all."""
 
 import math
 
@@ -10,9 +10,7 @@ _EPS = np.finfo(float).eps
 _SPREAD = 2  # rows of a sketch that each row goes into
 _RIDGE = 2.0**-36  # shortest direction of a basis, relative to the columns
 _TOGETHER = 16  # columns whose leading bits are taken at a time, in the cache
-_CANCELLED = (
-    1e7  # terms of a row of B over their sum: beyond, the rounding of one product would be felt in the tenth digit
-)
+_CANCELLED = 1e7  # terms of a row of B over their sum: beyond, rounding would be felt in the tenth digit
 
 
 class Basis:
@@ -21,10 +19,10 @@ class Basis:
     Attributes
     ----------
     bits : int
-        So many leading bits of Psi are multiplied exactly, for columns from ``exact`` on.
+        Number of leading bits of Psi that are multiplied exactly, for columns from ``exact`` on.
     exact : int
-        The first column of T whose terms cancel so much that the rounding errors of one product would spoil the coefficients; as many as
-        there are columns, if there is none.
+        First column of T whose terms cancel so much that the rounding errors of one product would spoil the
+        coefficients; the number of columns if there is none.
     """
 
     def __init__(self, T, scale, bits, ridge, exact):
@@ -33,7 +31,7 @@ class Basis:
         self._shift = 1.5 * 2.0 ** (52 - bits) * scale
 
     @classmethod
-    def of(cls, R, scale):
+    def of(cls, R, scale) -> "Basis":
         """From the triangular factor R of some rows of Psi / scale."""
         p = len(R)
         size = np.linalg.norm(R)
@@ -56,14 +54,14 @@ class Basis:
         exact = np.argmax(cancelled > cancelled.max() * 2.0**-bits) if cancelled.max() > _CANCELLED else p
         return cls(np.asfortranarray(rounded), scale, bits, ridge, exact)
 
-    def whiten(self, x, overwrite=False):
-        """B = (Psi / scale) T for rows ``x`` of Psi, in their place if they may be overwritten and lie column by column."""
+    def whiten(self, x, overwrite=False) -> np.ndarray:
+        """B = (Psi / scale) T for rows ``x`` of Psi, in place if ``overwrite`` and ``x`` lies column by column."""
         if self.exact == len(self.T):
             return blas.dtrmm(1.0, self._blocks[0], np.asarray(x, order="F"), side=1, overwrite_b=overwrite)
         return self._exactly(x if overwrite and x.flags.f_contiguous else np.array(x, order="F"), *self._blocks)
 
     def _exactly(self, x, head, side, corner):
-        """Leading bits times T, then trailing bits, for the columns of ``corner``; for those before them, ``head``, one product. Overwrites x."""
+        """Leading bits of x, then trailing ones, times ``corner``; one product for ``head``. Overwrites x."""
         leading, j = np.empty_like(x), len(head)
         for k in range(0, x.shape[1], _TOGETHER):
             some = slice(k, k + _TOGETHER)
@@ -79,49 +77,48 @@ class Basis:
             blas.dtrmm(1.0, head, x[:, :j], side=1, overwrite_b=1)
         return x
 
-    def multiply(self, x):
+    def multiply(self, x) -> np.ndarray:
         """``x T`` for an upper triangular matrix of any size, with leading bits multiplied exactly."""
         size = powers_of_two(x.T)[:, None]
         whole = _blocks(self.T / self.scale[:, None], 0)
         return np.triu(self._exactly(np.array(x / size * self.scale, order="F"), *whole) * size)
 
-    def inverse(self):
-        """T^-1 as a sum of two matrices, the second of the size of the first one's rounding errors (Newton's iteration)."""
+    def inverse(self) -> tuple[np.ndarray, np.ndarray]:
+        """T^-1 as a sum of two, the second as small as the first one's rounding errors (Newton's iteration)."""
         inverse = lapack.dtrtri(self.T)[0]
         one = np.eye(len(inverse))
         inverse = inverse + (one - self.multiply(inverse)) @ inverse
         return inverse, (one - self.multiply(inverse)) @ inverse
 
-    def same_as(self, other):
-        return self is other or (
-            np.array_equal(self.T, other.T) and np.array_equal(self.scale, other.scale) and self.bits == other.bits
-        )
+    def same_as(self, other: "Basis") -> bool:
+        same = self.bits == other.bits and np.array_equal(self.scale, other.scale)
+        return same and np.array_equal(self.T, other.T)
 
-    def inverse_of_factor(self, L):
+    def inverse_of_factor(self, L) -> np.ndarray:
         """T L^-1, the inverse of `factor`."""
         return blas.dtrmm(1.0, self.T, lapack.dtrtri(L)[0], overwrite_b=1)
 
     def ridge_gram(self):
-        """What rows ``diag(ridge)`` would add to G."""
+        """What rows ``diag(ridge)`` add to G."""
         rows = self.ridge[:, None] * self.T
         return rows.T @ rows if self.ridge.any() else 0.0
 
-    def factor(self, L):
-        """R = L T^-1, upper triangular, with R^T R = (Psi / scale)^T (Psi / scale) when L^T L = G; refined once, since T may cancel much."""
+    def factor(self, L) -> np.ndarray:
+        """R = L T^-1, with R^T R = (Psi / scale)^T (Psi / scale) when L^T L = G; refined once, as T may cancel much."""
         R = np.triu(blas.dtrsm(1.0, self.T, L, side=1))
         return R + np.triu(blas.dtrsm(1.0, self.T, L - self.multiply(R), side=1))
 
 
 def _blocks(T, j):
-    """Of an upper triangular matrix: the first j columns, what is above the others' corner, the corner."""
+    """Of an upper triangular matrix: the corner of the first j columns, the block beside it, the other corner."""
     return tuple(map(np.asfortranarray, (T[:j, :j], T[:j, j:], T[j:, j:])))
 
 
 class Sketch:
-    """Some 2 p rows that stand for any number of rows of p functions: sums of rows with random signs, each row in `_SPREAD` of them.
+    """Some 2 p rows that stand for any number of rows of p functions: sums with random signs, each row in `_SPREAD`.
 
-    A basis made of them serves all these rows nearly as well as one made of the rows themselves (M. B. Cohen, SODA 2016, 278), at the price of a QR
-    decomposition of 2 p rows. The random choices are the same each time. Rows that find room are taken as they are.
+    A basis made of them serves all rows nearly as well as one of the rows themselves (M. B. Cohen, SODA 2016, 278). The
+    random choices are the same each time. Rows that find room are taken as they are.
     """
 
     def __init__(self, p):
@@ -129,7 +126,7 @@ class Sketch:
         self._sums, self.rows = np.zeros((2 * p + 32, p)), 0
         self._scale = np.zeros(p)
 
-    def add(self, x):
+    def add(self, x) -> "Sketch":
         """Rows (rows, p); returns self."""
         rows, room = len(x), len(self._sums)
         if rows == 0:
@@ -138,16 +135,14 @@ class Sketch:
         if self.rows + rows <= room:
             self._sums[self.rows : self.rows + rows] = x
         else:
-            into, signs = (
-                self._rng.integers(room, size=(_SPREAD, rows)),
-                self._rng.choice([-1.0, 1.0], size=(_SPREAD, rows)) / math.sqrt(_SPREAD),
-            )
+            into = self._rng.integers(room, size=(_SPREAD, rows))
+            signs = self._rng.choice([-1.0, 1.0], size=(_SPREAD, rows)) / math.sqrt(_SPREAD)
             which = np.tile(np.arange(rows), _SPREAD)
             self._sums += sparse.csr_array((signs.ravel(), (into.ravel(), which)), shape=(room, rows)) @ x
         self.rows += rows
         return self
 
-    def basis(self):
+    def basis(self) -> Basis:
         """A `Basis` for all these rows."""
         require_finite(self._sums)
         return Basis.of(householder(self._sums / self._scale), self._scale)
@@ -159,21 +154,19 @@ def require_finite(*values):
         raise ValueError("regressors or targets hold NaN, infinity or values too large to square; repair them first.")
 
 
-def householder(x, R=None, triangular=False):
-    """Triangular factor of ``x``, or of ``R`` on top of ``x``, which may be ``triangular`` too, by LAPACK's panel-wise Householder QR."""
+def householder(x, R=None, triangular=False) -> np.ndarray:
+    """Triangular factor of ``x``, or of ``R`` on top of ``x``, which may be ``triangular``, by LAPACK's QR."""
     p = x.shape[1]
     if R is None:
         if len(x) < p:
             x = np.vstack([x, np.zeros((p - len(x), p))])
         return np.asfortranarray(np.triu(lapack.dgeqrt(min(48, p), np.asfortranarray(x), overwrite_a=1)[0][:p]))
-    zeros = p if triangular else 0
-    return np.asfortranarray(
-        np.triu(lapack.dtpqrt(zeros, min(48, p), np.asfortranarray(R), np.asfortranarray(x), overwrite_b=1)[0])
-    )
+    factor = lapack.dtpqrt(p * triangular, min(48, p), np.asfortranarray(R), np.asfortranarray(x), overwrite_b=1)[0]
+    return np.asfortranarray(np.triu(factor))
 
 
-def cholesky(gram):
-    """Upper triangular L with L^T L = gram, of the equilibrated matrix; shifted by rounding errors if it is not positive."""
+def cholesky(gram) -> np.ndarray:
+    """Upper triangular L with L^T L = gram, of the equilibrated matrix; shifted by rounding errors if not positive."""
     diagonal = np.sqrt(np.diag(gram))
     diagonal = np.where(diagonal > 0, diagonal, 1.0)
     scaled = np.asfortranarray(gram / diagonal / diagonal[:, None])
@@ -185,7 +178,7 @@ def cholesky(gram):
         shift = 100 * shift or len(scaled) * _EPS
 
 
-def condition_number(gram):
+def condition_number(gram) -> float:
     """Estimated condition number of the equilibrated matrix in the 1-norm; infinite if it is not positive definite."""
     diagonal = np.diag(gram)
     if not (diagonal > 0).all():
@@ -199,11 +192,11 @@ def condition_number(gram):
     return 1 / reciprocal if reciprocal > 0 else math.inf
 
 
-def powers_of_two(x):
+def powers_of_two(x) -> np.ndarray:
     """For each column a power of two above its largest entry; 1 for a column of zeros."""
     largest = np.maximum(x.max(axis=0), -x.min(axis=0))
     return np.ldexp(1.0, np.frexp(np.where(largest > 0, largest, 0.5))[1])
 
 
-def sums_of_squares(x):
+def sums_of_squares(x) -> np.ndarray:
     return np.einsum("ij,ij->j", x, x)

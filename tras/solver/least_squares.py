@@ -1,33 +1,33 @@
 """Least squares over a stream of rows: QR-grade coefficients at the price of matrix products.
 
-The Gram matrix Psi^T Psi is as fast as linear algebra gets, but squares the condition number of Psi; a Householder QR does not,
-and takes several times as long. Here the rows are first written in a basis T in which they are nearly orthonormal,
+The Gram matrix Psi^T Psi is as fast as linear algebra gets, but squares the condition number of Psi; a Householder QR
+does not, and takes several times as long. Here the rows are first written in a basis T in which they are nearly
+orthonormal,
 
     B = Psi T,   T ~ R0^-1,   R0 the triangular factor of a sketch of the first rows,
 
-and the normal equations are formed in that basis, G = sum B^T B and C = sum B^T Y. G has a condition number of some tens for
-the rows that the factor saw and mostly below 1e5 for all, so that squaring it costs little, and K = T G^-1 C. Preconditioning
-by the factor of random sums of the rows is the idea of V. Rokhlin and M. Tygert (PNAS 105, 2008, 13212), of Blendenpik (H.
-Avron, P. Maymounkov and S. Toledo, SIAM J. Sci. Comput. 32, 2010, 1217) and of E. N. Epperly, M. Meier and Y. Nakatsukasa
-(arXiv:2406.03468, 2024); a Cholesky factor in a nearly orthonormal basis is the second half of CholeskyQR2 (Y. Yamamoto et al.,
-ETNA 44, 2015, 306; with a shift: T. Fukaya et al., SIAM J. Sci. Comput. 42, 2020, A477). If later rows leave the span of the
-sample, G tells, and the basis is renewed with a Householder QR of the factor so far on top of the new rows, a step of
-sequential TSQR (J. Demmel et al., SIAM J. Sci. Comput. 34, 2012, A206).
+and the normal equations are formed there: G = sum B^T B, C = sum B^T Y, K = T G^-1 C. G has a condition number of some
+tens for the rows that the factor saw and mostly below 1e5 for all, so that squaring costs little. Preconditioning by
+the factor of random sums of the rows is the idea of V. Rokhlin and M. Tygert (PNAS 105, 2008, 13212), of Blendenpik (H.
+Avron, P. Maymounkov and S. Toledo, SIAM J. Sci. Comput. 32, 2010, 1217) and of E. N. Epperly, M. Meier and Y.
+Nakatsukasa (arXiv:2406.03468, 2024); a Cholesky factor in a nearly orthonormal basis is the second half of CholeskyQR2
+(Y. Yamamoto et al., ETNA 44, 2015, 306; with a shift: T. Fukaya et al., SIAM J. Sci. Comput. 42, 2020, A477). If later
+rows leave the span of the sample, G tells, and the basis is renewed with a Householder QR of the factor so far on top
+of the new rows, a step of sequential TSQR (J. Demmel et al., SIAM J. Sci. Comput. 34, 2012, A206).
 
-What is left is the rounding of B, where columns cancel. T is free to choose, so its entries are rounded to a coarse grid; the
-leading bits of Psi times T is then a sum of integers below 2^53, which floating point adds *exactly*, and only the trailing bits of
-Psi, 2^-10 or less of the whole, contribute rounding errors (error-free transformation: K. Ozaki et al., Numer. Algorithms 59,
-2012, 95); columns that cancel little are multiplied in one product. So coefficients are about as good as those of a Householder QR,
-and up to three digits better where Psi is ill-conditioned (`benchmarks/solver.py`).
+What is left is the rounding of B, where columns cancel. T is free to choose, so its entries are rounded to a coarse
+grid: the leading bits of Psi times T is then a sum of integers below 2^53, which floating point adds *exactly*, and
+only the trailing bits of Psi, 2^-10 or less of the whole, contribute rounding errors (error-free transformation: K.
+Ozaki et al., Numer. Algorithms 59, 2012, 95). So coefficients are about as good as those of a Householder QR, and up to
+three digits better where Psi is ill-conditioned (`benchmarks/solver.py`).
 """
 
 import itertools
 import math
 from collections import deque
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from functools import cached_property
-from typing import NamedTuple
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.linalg import blas, svd
@@ -54,14 +54,20 @@ _GROWTH = 4.0  # G is examined again when its trace has grown by this factor
 class StreamingLeastSquares:
     """``regressors @ coefficients = targets`` in the least-squares sense, from blocks of rows, each seen once.
 
-    Memory: about five matrices of the size of the coefficients and the workspace of one panel, whatever the number of rows.
-    The outcome depends on the order of the rows by rounding only. It is fastest and most accurate when the first panel is
-    typical of all rows: deal a recording out like cards (every k-th pair in one block), do not cut it into stretches of time.
+    Memory: about five matrices of the size of the coefficients and the workspace of one panel, whatever the number of
+    rows. The outcome depends on the order of the rows by rounding only. It is best when the first panel is typical of
+    all rows: deal a recording out like cards (every k-th pair in one block), do not cut it into stretches of time.
 
     Parameters
     ----------
     panel : int, optional
-        Rows that are worked on at once; default ``max(4096, 4 p)`` for p regressors. Fewer rows wait until a panel is full.
+        Rows that are worked on at once; default ``max(4096, 4 p)`` for p regressors. Fewer wait until a panel is full.
+
+    Attributes
+    ----------
+    rows : int
+    basis : Basis or None
+        None before the first panel.
 
     Examples
     --------
@@ -75,13 +81,13 @@ class StreamingLeastSquares:
     array([1., 2.])
     """
 
-    def __init__(self, panel=None):
+    def __init__(self, panel: int | None = None):
         self.panel = panel
         self.rows = 0
         self._waiting = []
-        self._basis = None
+        self.basis = None
 
-    def update(self, regressors, targets):
+    def update(self, regressors, targets) -> "StreamingLeastSquares":
         """Add rows (rows, p) with targets (rows, q); returns self."""
         regressors, targets = _two_dimensional("regressors", regressors), _two_dimensional("targets", targets)
         shapes = regressors.shape[1], targets.shape[1]
@@ -90,9 +96,8 @@ class StreamingLeastSquares:
         if self.rows == 0:
             self._shapes = shapes
         elif shapes != self._shapes:
-            raise ValueError(
-                f"this block has (regressors, targets) {shapes}, earlier ones {self._shapes}; they must be alike."
-            )
+            block = f"this block has (regressors, targets) {shapes}"
+            raise ValueError(f"{block}, earlier ones {self._shapes}; they must be alike.")
         self.rows += len(regressors)
         panel = self.panel or panel_rows(shapes[0])
         waiting = sum(len(x) for x, _ in self._waiting) + len(regressors)
@@ -114,18 +119,21 @@ class StreamingLeastSquares:
             rows = slice(k * len(x) // pieces, (k + 1) * len(x) // pieces)
             self._absorb(x[rows], y[rows])
 
-    def update_lifted(self, blocks, lift, threads=1, regressors=None):
-        """``update(*lift(block))`` for each block, by several threads; the outcome has the same bits whatever their number.
+    def update_lifted(self, blocks, lift, threads=1, regressors=None) -> "StreamingLeastSquares":
+        """``update(*lift(block))`` for each block, by several threads, with the same bits whatever their number.
 
-        Each thread lifts a block and multiplies what it lifted; the products are added up here, in the order of the blocks. BLAS itself is held to
-        one thread meanwhile. If the first block has fewer than 16 rows per regressor, the basis is made of so many blocks as have.
+        Each thread lifts a block and multiplies what it lifted; the products are added here, in the order of the
+        blocks. BLAS is held to one thread meanwhile. If the first block has fewer than 16 rows per regressor, the basis
+        is made of as many blocks as have them.
 
         Parameters
         ----------
         blocks : iterable
-            Of tuples of arrays, one entry a row. A block between one panel (see ``panel``) and two is worked on as it is; others take the way of `update`.
+            Of tuples of arrays, one entry per row. Blocks between one panel and two are multiplied as they are; others
+            take the way of `update`.
         lift : callable
-            ``block -> (regressors, targets)``, arrays that nobody needs afterwards. Called again for a block when the basis is made of it or renewed at it.
+            ``block -> (regressors, targets)``, arrays that nobody needs afterwards. Called again for a block when the
+            basis is made of it or renewed at it.
         threads : int
         regressors : callable, optional
             ``block -> regressors``, if they cost less without targets.
@@ -137,20 +145,20 @@ class StreamingLeastSquares:
                     self._collect(running, lift)
                     self.update(*lift(block))
                     continue
-                run = pool.submit if pool else _at_once
-                running.append((block, self._basis, run(_lifted_products, self._basis, lift, block)))
+                work = _lifted_products, self.basis, lift, block
+                running.append((block, self.basis, pool.submit(*work).result if pool else partial(*work)))
                 if len(running) > threads:
                     self._collect(running, lift, leave=threads)
             self._collect(running, lift)
         return self
 
     def _ready_for(self, rows):
-        panel = self.panel or (self._basis is not None and panel_rows(self._shapes[0]))
-        return self._basis is not None and not self._waiting and panel <= rows < 2 * panel
+        panel = self.panel or (self.basis is not None and panel_rows(self._shapes[0]))
+        return self.basis is not None and not self._waiting and panel <= rows < 2 * panel
 
     def _begun(self, blocks, lift, regressors):
-        """The blocks that are still to be absorbed after a look at the first ones, of which the basis is made if they are panels."""
-        block = next(blocks, None) if self._basis is None and not self._waiting else None
+        """The blocks still to be absorbed after a look at the first ones, which make the basis if they are panels."""
+        block = next(blocks, None) if self.basis is None and not self._waiting else None
         if block is None:
             return blocks
         x, y = map(_two_dimensional, ("regressors", "targets"), lift(block))
@@ -168,66 +176,66 @@ class StreamingLeastSquares:
 
     def _begin(self, basis, shapes):
         """No products yet, in a basis that is to serve from here on."""
-        self._basis, self._shapes = basis, shapes
+        self.basis, self._shapes = basis, shapes
         p, q = shapes
         self._gram, self._cross = np.zeros((p, p)), np.zeros((p, q))
         self._lengths, self._square = np.zeros(p), np.zeros(q)  # sums of squares of regressors and targets
-        self._examined = float(
-            p
-        )  # the trace of G is p or 2 p once the rows of the sample are in it, and its condition number some tens
+        self._examined = float(p)  # with the rows of the sample G has the trace p or 2 p, and a condition of some tens
 
     def _collect(self, running, lift, leave=0):
-        """Add what was found of the first blocks, in order, but for the last ``leave``."""
+        """Add the products of the first blocks, in order, but for the last ``leave``."""
         while len(running) > leave:
-            block, basis, future = running.popleft()
-            products = future.result()
-            if basis is not self._basis:  # it was renewed meanwhile
-                products = _lifted_products(self._basis, lift, block)
-            self._add(products, lambda: lift(block))
+            block, basis, products = running.popleft()
+            # Products in a basis that was renewed meanwhile are made again.
+            current = products() if basis is self.basis else _lifted_products(self.basis, lift, block)
+            self._add(current, partial(lift, block))
             self.rows += len(block[0])
 
     def _absorb(self, x, y):
-        if self._basis is None:
+        if self.basis is None:
             self._begin(Sketch(x.shape[1]).add(x).basis(), self._shapes)
-        self._add(_products(self._basis, x, y), lambda: (x, y))
+        self._add(_products(self.basis, x, y), lambda: (x, y))
 
     def _add(self, products, rows):
         """Add a panel's products; ``rows()`` gives the panel itself, should its rows leave the span of the basis."""
-        gram = np.add(self._gram, products.gram, out=products.gram)
+        gram, cross, lengths, square = products
+        gram = np.add(self._gram, gram, out=gram)
         if not np.trace(gram) <= _GROWTH * self._examined:
-            condition = condition_number(gram + self._basis.ridge_gram())
+            condition = condition_number(gram + self.basis.ridge_gram())
             if condition > _WORST_GRAM:
                 x, y = rows()
                 self._renew_basis(x, gram if condition < _LOST else None)
-                products = _products(self._basis, x, y)
-                gram = self._gram + products.gram
+                gram, cross, lengths, square = _products(self.basis, x, y)
+                gram = self._gram + gram
             self._examined = np.trace(gram)
-        self._gram = gram
-        self._cross = np.add(self._cross, products.cross, out=products.cross)
-        self._lengths = self._lengths + products.lengths
-        self._square = self._square + products.square
+        self._gram, self._cross = gram, np.add(self._cross, cross, out=cross)
+        self._lengths, self._square = self._lengths + lengths, self._square + square
 
     def _renew_basis(self, x, gram):
         """A basis for all rows so far and those of ``x``: from ``gram``, which holds both, or by Householder QR."""
-        old = self._basis
-        scale = np.maximum(old.scale, powers_of_two(x))
-        factor = old.factor(cholesky(self._gram if gram is None else gram + old.ridge_gram())) * (old.scale / scale)
+        scale = np.maximum(self.basis.scale, powers_of_two(x))
+        factor = self._factor(self._gram if gram is None else gram + self.basis.ridge_gram(), scale)
         self._change_basis(Basis.of(householder(x / scale, factor) if gram is None else factor, scale))
 
+    def _factor(self, gram, scale):
+        """R of rows of Psi / scale from their products in the basis."""
+        return self.basis.factor(cholesky(gram)) * (self.basis.scale / scale)
+
     def _change_basis(self, new):
-        """G and C as they would be had the rows been written in another basis: rows B are B S there, S = T_old^-1 T_new."""
-        inverse, rest = self._basis.inverse()
-        ratio = self._basis.scale / new.scale
+        """G and C as if the rows had been written in another basis: rows B are B S there, S = T_old^-1 T_new."""
+        inverse, rest = self.basis.inverse()
+        ratio = self.basis.scale / new.scale
         S = new.multiply(inverse * ratio) + (rest * ratio) @ new.T
         self._gram = S.T @ self._gram @ S
         self._cross = S.T @ self._cross
-        self._basis = new
+        self.basis = new
 
-    def merge(self, other):
+    def merge(self, other: "StreamingLeastSquares") -> "StreamingLeastSquares":
         """Add the rows of another solver, which is not changed; returns self.
 
-        Solvers of one basis (see `emptied`) are added. Otherwise both are written in a basis made of their stacked triangular factors, a step of
-        TSQR, which costs as much as a few products of matrices of the size of the coefficients. The order of merging matters by rounding only.
+        Solvers of one basis (see `emptied`) are added. Otherwise both are written in a basis made of their stacked
+        triangular factors, a step of TSQR, for the price of a few products of matrices of the size of the coefficients.
+        The order of merging matters by rounding only.
 
         Raises
         ------
@@ -241,18 +249,14 @@ class StreamingLeastSquares:
             self.__dict__.update(other.__dict__)
             return self
         if other._shapes != self._shapes:
-            raise ValueError(
-                f"other has (regressors, targets) {other._shapes}, these rows {self._shapes}; they must be alike."
-            )
+            block = f"other has (regressors, targets) {other._shapes}"
+            raise ValueError(f"{block}, these rows {self._shapes}; they must be alike.")
         for solver in (self, other):
             solver.work_off()
-        if not self._basis.same_as(other._basis):
-            scale = np.maximum(self._basis.scale, other._basis.scale)
-            one, two = (
-                s._basis.factor(cholesky(s._gram + s._basis.ridge_gram())) * (s._basis.scale / scale)
-                for s in (self, other)
-            )
-            common = Basis.of(householder(two, one), scale)
+        if not self.basis.same_as(other.basis):
+            scale = np.maximum(self.basis.scale, other.basis.scale)
+            ours, theirs = (s._factor(s._gram + s.basis.ridge_gram(), scale) for s in (self, other))
+            common = Basis.of(householder(theirs, ours), scale)
             self._change_basis(common)
             other._change_basis(common)
         for name in ("_gram", "_cross", "_lengths", "_square"):
@@ -262,31 +266,26 @@ class StreamingLeastSquares:
         return self
 
     def __copy__(self):
-        """Another solver of the same rows. Arrays are replaced, never changed, so both may hold them: a copy costs nothing by itself."""
+        """Another solver of the same rows, at no cost: arrays are replaced, never changed, so both may hold them."""
         new = StreamingLeastSquares(self.panel)
         new.__dict__.update(self.__dict__, _waiting=list(self._waiting))
         return new
 
-    def emptied(self):
+    def emptied(self) -> "StreamingLeastSquares":
         """A solver without rows that begins with this one's basis, for rows of the same kind."""
-        if self._basis is None:
+        if self.basis is None:
             self.work_off()
         new = StreamingLeastSquares(self.panel)
-        new._begin(self._basis, self._shapes)
+        new._begin(self.basis, self._shapes)
         return new
 
-    def solve(self, names=None):
-        """Solution over all rows so far; rows may be added afterwards.
+    def solve(self, names=None) -> "LeastSquares":
+        """Solution over all rows so far, to be regularized if these do not determine it; rows may be added afterwards.
 
         Parameters
         ----------
         names : sequence of str, optional
             Names of the regressors, for messages.
-
-        Returns
-        -------
-        LeastSquares
-            Regularised solutions can be had of it even when its ``coefficients`` are not determined.
 
         Raises
         ------
@@ -297,32 +296,32 @@ class StreamingLeastSquares:
             raise ValueError("there are no rows; call update(regressors, targets) first.")
         self.work_off()
         L = cholesky(self._gram)
-        basis = self._basis
+        basis = self.basis
         rotated = blas.dtrsm(1.0, L, self._cross, trans_a=1)  # Q^T targets
         coefficients = blas.dtrmm(1.0, basis.T, blas.dtrsm(1.0, L, rotated), overwrite_b=1)
         coefficients /= basis.scale[:, None]
         return LeastSquares(coefficients, basis, L, rotated, self._lengths, self._square, self.rows, names)
 
-    def state(self):
-        """All that is known of the rows, as a dict of plain arrays: store it with `numpy.savez`, continue with `from_state`.
+    def state(self) -> dict[str, np.ndarray]:
+        """All that is known of the rows, as plain arrays: store them with `numpy.savez`, continue with `from_state`.
 
-        Rows that wait for a panel to fill are stored as they are, so what follows has the same bits with and without a store between.
+        Rows that wait for a panel are stored as they are: what follows has the same bits with and without a store.
         """
         if self.rows == 0:
             raise ValueError("there are no rows; call update(regressors, targets) first.")
         x, y = map(np.concatenate, zip(*self._waiting)) if self._waiting else (np.empty((0, k)) for k in self._shapes)
         state = {"rows": np.array(self.rows), "waiting_regressors": x, "waiting_targets": y}
-        if self._basis is None:
+        if self.basis is None:
             return state
-        basis = self._basis
+        basis = self.basis
         return state | {
             "gram": self._gram, "cross": self._cross, "lengths": self._lengths, "square": self._square,
-            "examined": np.array(self._examined), "T": basis.T, "scale": basis.scale, "bits": np.array(basis.bits), "ridge": basis.ridge,
-            "exact": np.array(basis.exact),
+            "examined": np.array(self._examined), "T": basis.T, "scale": basis.scale, "bits": np.array(basis.bits),
+            "ridge": basis.ridge, "exact": np.array(basis.exact),
         }  # fmt: skip
 
     @classmethod
-    def from_state(cls, state, panel=None):
+    def from_state(cls, state, panel=None) -> "StreamingLeastSquares":
         """The solver whose `state` this was."""
         self = cls(panel)
         self.rows = int(state["rows"])
@@ -333,21 +332,16 @@ class StreamingLeastSquares:
             self._examined = float(state["examined"])
             for key in ("gram", "cross", "lengths", "square"):
                 setattr(self, "_" + key, np.array(state[key], dtype=float))
-            basis = (
-                np.asfortranarray(state["T"]),
-                np.array(state["scale"]),
-                int(state["bits"]),
-                np.array(state["ridge"]),
-                int(state["exact"]),
-            )
-            self._basis = Basis(*basis)
+            T, scale, ridge = (np.array(state[key]) for key in ("T", "scale", "ridge"))
+            self.basis = Basis(np.asfortranarray(T), scale, int(state["bits"]), ridge, state["exact"])
         return self
 
 
 class LeastSquares:
-    """The solution and how far to trust it; from ``R`` and ``rotated`` follow its regularised relatives (`tras.regularization`).
+    """The solution and how far to trust it; `tras.regularization` makes regularized ones of ``R`` and ``rotated``.
 
-    D, below, holds the norms of the columns of the regressors Psi: those of Psi D^-1 have length one, whatever the units.
+    D, below, holds the norms of the columns of the regressors Psi: those of Psi D^-1 have length one, whatever the
+    units.
 
     Attributes
     ----------
@@ -361,35 +355,28 @@ class LeastSquares:
         Root mean square of each target's residual. By Pythagoras, so not below 1e-8 of the target's own.
     rows : int
     rank : int
-        Numerical rank of Psi D^-1: its singular values above sqrt(rows) times the rounding unit, relative to the largest.
+        Numerical rank of Psi D^-1: singular values above sqrt(rows) rounding units, relative to the largest.
     condition_number : float
         Of Psi as given, in the 2-norm.
     scaled_condition_number : float
-        Of Psi D^-1; this is the one that counts, because rounding errors do not feel the scale of columns.
+        Of Psi D^-1: the one that counts, because rounding errors do not feel the scale of columns.
     """
 
     def __init__(self, coefficients, basis, L, rotated, lengths, square, rows, names=None):
-        self._coefficients, self._basis, self._L, self.rotated, self.rows, self.names = (
-            coefficients,
-            basis,
-            L,
-            rotated,
-            rows,
-            names,
-        )
+        self._coefficients, self.basis, self._L = coefficients, basis, L
+        self.rotated, self.rows, self.names = rotated, rows, names
         self._least = np.maximum(square - sums_of_squares(rotated), 0)  # squared norm of the residual
         self._norms = np.where(lengths > 0, np.sqrt(lengths), 1.0)
 
     @cached_property
-    def R(self):
-        return self._basis.factor(self._L) * self._basis.scale
+    def R(self) -> np.ndarray:
+        return self.basis.factor(self._L) * self.basis.scale
 
     @cached_property
-    def rank(self):
-        p, smallest = len(self._L), _smallest(self.rows)
-        if (
-            math.sqrt(p) * np.linalg.norm(self._inverse) * smallest < 0.1
-        ):  # a bound on the condition number, which costs less than it does itself
+    def rank(self) -> int:
+        p, smallest = len(self._L), _EPS * math.sqrt(self.rows)  # smaller singular values are rounding errors
+        # A bound on the condition number costs less than the number itself.
+        if math.sqrt(p) * np.linalg.norm(self._inverse) * smallest < 0.1:
             return p
         return int(np.sum(self._singular > self._singular[0] * smallest))
 
@@ -400,73 +387,52 @@ class LeastSquares:
     @cached_property
     def _inverse(self):
         """(R D^-1)^-1."""
-        return self._basis.inverse_of_factor(self._L) * (self._norms / self._basis.scale)[:, None]
+        return self.basis.inverse_of_factor(self._L) * (self._norms / self.basis.scale)[:, None]
 
     @property
-    def coefficients(self):
+    def coefficients(self) -> np.ndarray:
         self.require_full_rank()
         return self._coefficients
 
     @property
-    def residual(self):
+    def residual(self) -> np.ndarray:
         return np.sqrt(self._least / self.rows)
 
     @property
-    def scaled_condition_number(self):
+    def scaled_condition_number(self) -> float:
         return _ratio(self._singular)
 
     @cached_property
-    def condition_number(self):
+    def condition_number(self) -> float:
         return _ratio(np.linalg.svd(self.R, compute_uv=False))
 
-    @cached_property
-    def rounding_error(self):
-        """(q,) How far rounding of the regressors in their last bit alone moves the coefficients: standard deviation of the worst
-        coefficient of each target, relative to its largest. No algorithm is better than that; a QR decomposition is somewhat worse.
-
-        First-order perturbation of least squares (P.-A. Wedin, BIT 13, 1973, 217) under independent errors of the entries.
-        """
-        if self.rank < len(self._L):
-            return np.full(len(self._least), math.inf)
-        inverse = self._inverse
-        rough = np.linalg.norm(inverse, axis=1)[:, None]
-        scaled = self._coefficients * self._norms[:, None]
-        along = rough * np.linalg.norm(scaled, axis=0) / math.sqrt(self.rows)
-        across = np.linalg.norm(inverse @ inverse.T, axis=1)[:, None] * np.sqrt(self._least / self.rows)
-        error = _EPS / math.sqrt(12) * np.hypot(along, across) / self._norms[:, None]
-        largest = np.abs(self._coefficients).max(axis=0)
-        return error.max(axis=0) / np.where(largest > 0, largest, 1.0)
-
-    def require_full_rank(self):
-        """Self, if the coefficients are determined; else a ValueError that says which regressors depend on each other."""
+    def require_full_rank(self) -> "LeastSquares":
+        """Self, if the coefficients are determined; else a ValueError that names regressors that depend on others."""
         p = len(self._L)
         if self.rows < p:
-            raise ValueError(
-                f"{self.rows} snapshot pairs cannot determine {p} functions; record at least {p} pairs or use a smaller dictionary."
-            )
+            remedy = f"record at least {p} pairs or use a smaller dictionary"
+            raise ValueError(f"{self.rows} snapshot pairs cannot determine {p} functions; {remedy}.")
         if self.rank < p:
-            shares = np.abs(self._svd[2][self.rank :]).max(axis=0)  # of each regressor in combinations that vanish
+            directions = svd(self.R / self._norms, check_finite=False)[2]
+            shares = np.abs(directions[self.rank :]).max(axis=0)  # of each regressor in combinations that vanish
             involved = sorted(j for j in np.argsort(-shares)[:3] if shares[j] > 0.1 * shares.max())
             labels = ", ".join(f"number {j}" if self.names is None else self.names[j] for j in involved)
             raise ValueError(
-                f"the dictionary's {p} functions are linearly dependent on this data (numerical rank {self.rank}; {labels} take part): "
-                "use fewer functions or a lower degree, record data that moves every channel independently, or ask for a truncated "
-                "or regularised solution (regularization='truncated', strength=1e-8)."
+                f"the dictionary's {p} functions are linearly dependent on this data (numerical rank {self.rank}; "
+                f"{labels} take part): use fewer functions or a lower degree, record data that moves every channel "
+                "independently, or ask for a truncated or regularized solution (regularization='truncated', "
+                "strength=1e-8)."
             )
         return self
 
-    @cached_property
-    def _svd(self):
-        return svd(self.R / self._norms, check_finite=False)
 
-
-def least_squares(blocks, names=None):
-    """Least squares over an iterable of blocks (regressors (rows, p), targets (rows, q)): a `LeastSquares` of full rank.
+def least_squares(blocks, names=None) -> LeastSquares:
+    """A `LeastSquares` of full rank over an iterable of blocks (regressors (rows, p), targets (rows, q)).
 
     Raises
     ------
     ValueError
-        If there are fewer rows than regressors, they are linearly dependent to working precision, or there is NaN or infinity.
+        If there are fewer rows than regressors, these are linearly dependent, or there is NaN or infinity.
     """
     solver = StreamingLeastSquares()
     for regressors, targets in blocks:
@@ -474,46 +440,26 @@ def least_squares(blocks, names=None):
     return solver.solve(names).require_full_rank()
 
 
-class _Products(NamedTuple):
-    """What a panel of rows adds to the normal equations in a basis."""
-
-    gram: np.ndarray
-    cross: np.ndarray
-    lengths: np.ndarray
-    square: np.ndarray
-
-
 def _products(basis, x, y, overwrite=False):
+    """What a panel of rows adds to G, to C, and to the sums of squares of regressors and targets."""
     lengths, square = sums_of_squares(x), sums_of_squares(y)
     require_finite(lengths, square)
     b = basis.whiten(x, overwrite)
-    return _Products(b.T @ b, b.T @ y, lengths, square)
+    return b.T @ b, b.T @ y, lengths, square
 
 
 def _lifted_products(basis, lift, block):
     return _products(basis, *lift(block), overwrite=True)
 
 
-def _at_once(function, *arguments):
-    """What a pool's ``submit`` gives, done here and now."""
-    done = Future()
-    done.set_result(function(*arguments))
-    return done
-
-
-def panel_rows(p):
+def panel_rows(p: int) -> int:
     """Rows that are worked on at once."""
     return max(4096, 4 * p)
 
 
-def panels_of_a_basis(p):
-    """So many panels the first basis is made of, if they come as blocks that are lifted here."""
+def panels_of_a_basis(p: int) -> int:
+    """Number of panels that the first basis is made of, if they come as blocks that are lifted here."""
     return -(-_SAMPLE * p // panel_rows(p))
-
-
-def _smallest(rows):
-    """Singular values below this fraction of the largest are rounding errors."""
-    return _EPS * math.sqrt(rows)
 
 
 def _ratio(singular):

@@ -1,14 +1,16 @@
 """Lifted-linear models ``z+ = A z + B u`` that cannot blow up: least squares with the spectral radius of A bounded.
 
-Every matrix with a bounded power sequence, and no other, is ``A = S^-1 M S`` with S positive definite and ``|M|_2 <= 1`` (N. Gillis, M. Karow,
-P. Sharma, Linear Algebra Appl. 573, 2019, 37, where M is written orthogonal times positive semidefinite). With the misfit of snapshots as cost
-this is the "SOC" of G. Mamakoukas, O. Xherija, T. D. Murphey, Adv. Neural Inf. Process. Syst. 33, 2020. Both papers descend along the gradient by
-S and M. When sampling is fast, A is near the identity, which commutes with S: the gradient by S is almost nothing, that by M ill-conditioned,
-and the descent crawls. Here, in turn, S is the Lyapunov norm of the A at hand, and the problem in M, which is convex, is solved.
+Every matrix with a bounded power sequence, and no other, is ``A = S^-1 M S`` with S positive definite and ``|M|_2 <=
+1`` (N. Gillis, M. Karow, P. Sharma, Linear Algebra Appl. 573, 2019, 37, with M orthogonal times positive semidefinite).
+With the misfit of snapshots as cost this is the "SOC" of G. Mamakoukas, O. Xherija, T. D. Murphey, Adv. Neural Inf.
+Process. Syst. 33, 2020. Both papers descend along the gradient by S and M. When sampling is fast, A is near the
+identity, which commutes with S: the gradient by S nearly vanishes, that by M is ill-conditioned, and the descent
+crawls. Here, in turn, S is the Lyapunov norm of the present A, and the problem in M, which is convex, is solved.
 
-The start is improved by a few steps that treat the moduli of the eigenvalues as linear in A (sequential quadratic programming on
-``|lambda_i| <= radius``; compare F. E. Curtis, T. Mitchell, M. L. Overton, Optim. Methods Softw. 32, 2017, 148): they go far at once, but stop
-where eigenvalues meet. All is done in the coordinates of orthonormal regressors, in which the free matrix is nearly a contraction already.
+The start is improved by a few steps that treat the moduli of the eigenvalues as linear in A (sequential quadratic
+programming on ``|lambda_i| <= radius``; compare F. E. Curtis, T. Mitchell, M. L. Overton, Optim. Methods Softw. 32,
+2017, 148): they go far at once, but stop where eigenvalues meet. All is done in the coordinates of orthonormal
+regressors, in which the free matrix is nearly a contraction already.
 """
 
 import numpy as np
@@ -20,24 +22,20 @@ _LINEAR_STEPS = 5  # more of them only creep
 _BAND = 0.05  # eigenvalues this close to the largest are watched in a linearised step
 _INSIDE = 1e-6  # A must be strictly stable, or its Lyapunov norm does not exist
 _ROUND = 20  # iterations with the same S
-_HELD = 1e-10  # of a regressor's length
+_WEIGHT = 1e-10  # of a regressor's length, against changes that the data do not determine
 
 
-def spectral_radius(A):
+def spectral_radius(A) -> float:
     """Largest modulus of the eigenvalues of A (N, N)."""
     return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
 
 
-def excess_cost(R, free, coefficients):
-    """What the constraint costs: each target's sum of squared residuals less that of the least-squares solution ``free``, (targets,)."""
-    return np.sum((R @ (coefficients - free)) ** 2, axis=0)
+def stable_change(fit, D, n: int, m: int, **options) -> np.ndarray:
+    """`stable_least_squares` in the terms of `tras.koopman.lifted_linear_rows`: rows ``[1, x, u, further functions]``.
 
-
-def stable_change(fit, D, n, m, **options):
-    """`stable_least_squares` in the terms of `tras.koopman.lifted_linear_rows`: rows ``[1, x, u, further functions]``, and D for A - I.
-
-    ``fit`` is a `LeastSquares`, D (N + m, N) its coefficients or regularised ones, n and m count states and inputs; ``options`` are ``radius``
-    and ``iterations``. Returns (N + m, N), D itself if it is stable already.
+    ``fit`` is a `LeastSquares`; D (N + m, N) stands for A - I and B, its coefficients or regularized ones; n and m
+    count states and inputs; ``options`` are ``radius`` and ``iterations``. Returns (N + m, N), D itself if it is stable
+    already.
     """
     p, N = D.shape
     order = np.r_[: 1 + n, 1 + n + m : p, 1 + n : 1 + n + m]
@@ -51,52 +49,51 @@ def stable_change(fit, D, n, m, **options):
     return change
 
 
-def stable_least_squares(R, free, *, constant=True, radius=1.0, iterations=100):
-    """``[psi(x), u] @ coefficients = psi(y)`` by least squares, over models ``z+ = A z + B u`` whose A has no eigenvalue beyond ``radius``.
+def stable_least_squares(R, free, *, constant=True, radius=1.0, iterations=100) -> np.ndarray:
+    """``[psi(x), u] @ coefficients = psi(y)`` by least squares, with no eigenvalue of A beyond ``radius``.
 
-    The problem is not convex, and its local minima lie at the edge of smoothness, where eigenvalues meet. The result is feasible and never
-    worse than the free solution with its eigenvalues drawn back to the circle. On closed-loop data it had less than 1 % of that one's
-    excess cost with 44 to 194 functions, 0.3 to 6 % with some 30, 26 and 65 % with 14; of random 2 x 2 problems nine in ten ended within 4 %
-    of the global optimum. It stops when ``iterations`` are used up or twenty of them have gained less than 1 %: no optimum is proved. No
-    random numbers.
+    The problem is not convex. The result is feasible and never worse than the free solution with its eigenvalues drawn
+    back to the circle: on closed-loop data it had less than 1 % of that one's excess cost with 44 to 194 functions, 0.3
+    to 6 % with some 30, 26 and 65 % with 14; nine in ten random 2 x 2 problems ended within 4 % of the global optimum.
+    It stops when ``iterations`` are used up or twenty of them have gained less than 1 %. No random numbers.
 
-    A spectral radius of one bounds the powers of A, not the response to inputs: a mode at exactly one adds up whatever the constant and the
-    inputs feed it. With ``radius = 1 - dt / tau`` every mode forgets in about the time tau, and bounded inputs have a bounded response. Slower
-    modes than the training trajectories can show are guesses: with these at 5 s, sampled at 0.01 s, and torque inputs, radius 0.999 instead
-    of 1 brought the error of 500 s free runs from 30-420 % to 6-11 %. A lower cost, being a one-step error, did not.
+    A mode at exactly one adds up whatever the constant and the inputs feed it. With ``radius = 1 - dt / tau`` every
+    mode forgets in about the time tau, and bounded inputs have a bounded response. Slower modes than the training
+    trajectories can show are guesses: with these at 5 s, sampled at 0.01 s, and torque inputs, radius 0.999 instead of
+    1 brought the error of 500 s free runs from 30-420 % to 6-11 %. A lower cost, being a one-step error, did not.
 
     Parameters
     ----------
     R : (p, p) ndarray
-        Triangular or any other square root of the Gram matrix ``R.T @ R`` of the regressors ``[psi(x), u]``; p = N + m. What the data
-        determine to less than 1e-10 (linearly dependent functions) is held where it is by a weight of that size.
+        Triangular or any other square root of the Gram matrix ``R.T @ R`` of the regressors ``[psi(x), u]``; p = N + m.
+        What the data determine to less than 1e-10 (dependent functions) stays where it is, by a weight of that size.
     free : (p, N) ndarray
-        The unconstrained solution ``[A B]^T``. If it is a regularised one, the result is the stable model whose predictions on the data
-        are near to it.
+        The unconstrained solution ``[A B]^T``. If it is a regularized one, the result is the stable model whose
+        predictions on the data are near to it.
     constant : bool
-        The first function is the constant 1. Its own equation is exact and its eigenvalue one allowed; on the other functions it acts as
-        an input does, and the bound is on these.
+        The first function is the constant 1, whose own eigenvalue is one; the bound is on the other functions, for
+        which it is an input.
     radius : float
     iterations : int
-        Steps on M, of order N^3; 0 leaves the improved start. A hundred take about 0.05 s for 30 functions, 0.5 s for 100, 3 s for 200.
+        Steps on M, of order N^3; 0 leaves the improved start. A hundred take about 0.05 s for 30 functions, 0.5 s for
+        100, 3 s for 200.
 
     Returns
     -------
     (p, N) ndarray
-        A^T in the first N rows, B^T below; ``free`` itself if that is stable already. The moduli of the eigenvalues that
-        `numpy.linalg.eigvals` finds, of A or of its transpose, are at most ``radius`` (but for the constant's): A is scaled, and with it M,
-        by what rounding adds to them, some 1e-15, or up to 1e-6 if the regressors are nearly dependent.
+        A^T in the first N rows, B^T below; ``free`` itself if that is stable already. The eigenvalues that
+        `numpy.linalg.eigvals` finds, of A or of its transpose, are at most ``radius`` (but for the constant's): A is
+        scaled by what rounding adds to them, some 1e-15, or up to 1e-6 if the regressors are nearly dependent.
 
     Raises
     ------
     ValueError
-        On wrong shapes, NaN or infinity, a first function that is not the constant, a radius that is not positive, or a number of
-        iterations that is not whole or negative.
+        On wrong shapes, NaN or infinity, a first function that is not the constant, or a wrong radius or number.
 
     Examples
     --------
     >>> import numpy as np
-    >>> A = stable_least_squares(np.eye(2), np.diag([1.5, 0.5]), constant=False)  # the nearest stable matrix, in the Frobenius norm
+    >>> A = stable_least_squares(np.eye(2), np.diag([1.5, 0.5]), constant=False)  # the nearest in the Frobenius norm
     >>> np.diag(A).round(6)
     array([1. , 0.5])
     """
@@ -106,10 +103,11 @@ def stable_least_squares(R, free, *, constant=True, radius=1.0, iterations=100):
     block, rows = np.ix_(inner, inner), np.ix_(outer, inner)
     if _radius(free[block]) <= radius:
         return free
-    # Outer regressors first: what the triangle has left of the others is orthogonal to them, and B follows from A (Frisch and Waugh).
+    # Outer regressors first: what the triangle has left of the others is orthogonal to them, and B follows from A
+    # (Frisch and Waugh).
     lengths = np.linalg.norm(R, axis=0)
-    held = np.diag(_HELD * np.where(lengths > 0, lengths, 1.0))
-    R = np.linalg.qr(np.vstack([R, held])[:, np.r_[outer, inner]], mode="r")
+    weights = np.diag(_WEIGHT * np.where(lengths > 0, lengths, 1.0))
+    R = np.linalg.qr(np.vstack([R, weights])[:, np.r_[outer, inner]], mode="r")
     k, F = len(outer), free[block].T
     A = _nearest(F, R[k:, k:].T, radius, iterations)
     coefficients = free.copy()
@@ -122,20 +120,20 @@ def stable_least_squares(R, free, *, constant=True, radius=1.0, iterations=100):
 def _nearest(F, L, radius, iterations):
     """A of spectral radius at most ``radius`` with small ``|(A - F) L|_F``; L (N, N) lower triangular."""
     white = _triangular(L, F @ L)  # the coordinates of orthonormal regressors: L^-1 F L
-    start = _linear_steps(white, L, radius)
-    A = _contractions(white, L, radius, iterations, start)
+    A = _contractions(white, L, radius, iterations, _linear_steps(white, L, radius))
     A = _triangular(L, (L @ A).T, trans="T").T
     plain = _drawn_back(F, radius)[0]
-    # False for NaN. True only if the regressors are so nearly dependent that the change of coordinates lost more than was won.
+    # False for NaN. True only if the regressors are so nearly dependent that the change of coordinates lost more than
+    # was won.
     if np.linalg.norm((plain - F) @ L) < np.linalg.norm((A - F) @ L):
         A = plain
-    while (found := _radius(A)) > radius:  # as computed, by rounding
-        A = A / (1 + max(2 * (found / radius - 1), 1e-15))
+    while (largest := _radius(A)) > radius:  # as computed, by rounding
+        A = A / (1 + max(2 * (largest / radius - 1), 1e-15))
     return A
 
 
 def _linear_steps(free, L, radius):
-    """A stable A with small ``|L (A - free)|_F``: the eigenvalues drawn back, then steps to solutions of the problem linearised there."""
+    """A stable A with small ``|L (A - free)|_F``: eigenvalues drawn back, then steps of linearised problems."""
     cost = _cost(free, L)
     A, w, V = _drawn_back(free, radius)
     if np.isnan(A).any():
@@ -153,7 +151,7 @@ def _linear_steps(free, L, radius):
 
 
 def _drawn_back(A, radius):
-    """A with its eigenvalues drawn back to the circle, these, and their vectors; NaN for A if the vectors are too nearly parallel."""
+    """A with its eigenvalues drawn back to the circle, these, their vectors; A is NaN if these are near parallel."""
     w, V = np.linalg.eig(A)
     w = w * np.minimum(1, radius / np.maximum(np.abs(w), radius))
     if np.linalg.cond(V) > 1e8:
@@ -164,7 +162,8 @@ def _drawn_back(A, radius):
 def _linearised(free, L, A, w, V, radius):
     """The step from A to the least ``|L (A - free)|`` with ``|lambda_i| <= radius`` to first order.
 
-    With ``Y = L (A - free)``, ``d |lambda| = Re(conj(lambda) / |lambda| w^H L^-1 dY v)``, v and w the right and left eigenvectors, ``w^H v = 1``.
+    With ``Y = L (A - free)``, ``d |lambda| = Re(conj(lambda) / |lambda| w^H L^-1 dY v)``, v and w the right and left
+    eigenvectors, ``w^H v = 1``.
     """
     near = (np.abs(w) > (1 - _BAND) * np.abs(w).max()) & (w.imag >= 0)
     right, w = V[:, near], w[near]
@@ -193,23 +192,23 @@ def _least_distance(gram, room):
     return u * (size / big / left_over) if left_over > 0 else 0 * u
 
 
-def _contractions(free, L, radius, iterations, start):
-    """From ``start``: the best M with the S of its Lyapunov norm, then the same from there, as long as that gains one percent."""
+def _contractions(free, L, radius, iterations, A):
+    """From A: the best M with the S of its Lyapunov norm, then again, as long as that gains one percent."""
     cost, gram = _cost(free, L), L.T @ L
-    A = start
-    for done in range(0, iterations, _ROUND):
+    for start in range(0, iterations, _ROUND):
         S, M = _in_lyapunov_norm(A * (1 - _INSIDE), radius)
         before = cost(A)
-        A = min((A, _best_contraction(free, gram, S, M, radius, min(iterations - done, _ROUND), cost)), key=cost)
+        A = min((A, _best_contraction(free, gram, S, M, radius, min(iterations - start, _ROUND), cost)), key=cost)
         if not cost(A) < 0.99 * before:
             break
     return A
 
 
 def _best_contraction(free, gram, S, M, radius, iterations, cost):
-    """``S^-1 M S`` nearest to ``free`` over ``|M| <= radius``: alternating directions (S. Boyd et al., Found. Trends Mach. Learn. 3, 2011, 1).
+    """``S^-1 M S`` nearest to ``free`` over ``|M| <= radius``, by alternating directions.
 
-    The quadratic cost is diagonal in the eigenvectors of its two factors, so the half step that minimises it is exact.
+    S. Boyd et al., Found. Trends Mach. Learn. 3, 2011, 1. The quadratic cost is diagonal in the eigenvectors of its two
+    factors, so the half step that minimises it is exact.
     """
     inverse = np.linalg.inv(S)
     p, U = np.linalg.eigh(inverse @ gram @ inverse)
@@ -227,9 +226,10 @@ def _best_contraction(free, gram, S, M, radius, iterations, cost):
 
 
 def _in_lyapunov_norm(A, radius):
-    """(S, M) with ``A = S^-1 M S`` and ``|M| <= radius``, for a strictly stable A: S^2 is the sum of ``(A^k)^T A^k / radius^2k``.
+    """(S, M) with ``A = S^-1 M S`` and ``|M| <= radius``: S^2 is the sum of ``(A^k)^T A^k / radius^2k``.
 
-    Summed by doubling (R. A. Smith, SIAM J. Appl. Math. 16, 1968, 198), which keeps it positive definite whatever the rounding.
+    Summed by doubling (R. A. Smith, SIAM J. Appl. Math. 16, 1968, 198), which keeps it positive definite whatever the
+    rounding. A is strictly stable.
     """
     P, power = np.eye(len(A)), A / radius
     for _ in range(24):  # 2^24 terms: far beyond 1 / _INSIDE
@@ -243,7 +243,7 @@ def _in_lyapunov_norm(A, radius):
 
 
 def _contraction(M, radius):
-    """The nearest matrix of 2-norm at most ``radius``. Only singular values beyond it are needed, so not the whole decomposition."""
+    """The nearest matrix of 2-norm at most ``radius``, from the singular values beyond it alone."""
     w, V = linalg.eigh(M.T @ M, subset_by_value=(radius**2, np.inf), check_finite=False)
     return M - (M @ V * (1 - radius / np.sqrt(w))) @ V.T
 
@@ -264,22 +264,15 @@ def _radius(A):
 
 def _checked(R, free, constant, radius, iterations):
     R, free = np.asarray(R, dtype=float), np.asarray(free, dtype=float)
-    if (
-        R.ndim != 2
-        or free.ndim != 2
-        or R.shape != (len(free), len(free))
-        or not int(constant) < free.shape[1] <= len(free)
-    ):
+    if free.ndim != 2 or R.shape != (len(free), len(free)) or not int(constant) < free.shape[1] <= len(free):
         raise ValueError(
-            f"R has shape {R.shape} and free {free.shape}; give a square root (N + m, N + m) of the Gram matrix of [psi(x), u] and "
-            f"coefficients (N + m, N), N at least {1 + int(constant)}."
+            f"R has shape {R.shape} and free {free.shape}; give a square root (N + m, N + m) of the Gram matrix of "
+            f"[psi(x), u] and coefficients (N + m, N), N at least {1 + int(constant)}."
         )
     if not (np.isfinite(R).all() and np.isfinite(free).all()):
         raise ValueError("R or free holds NaN or infinity; repair the data or the fit that it comes from.")
     if constant and np.linalg.norm(R @ (free[:, 0] - np.eye(len(free))[0])) > 1e-6 * np.linalg.norm(R[:, 0]):
-        raise ValueError(
-            "free does not predict the first function as the constant that it should be; put that first, or give constant=False."
-        )
+        raise ValueError("free does not predict its first function as a constant; put that first, or constant=False.")
     arguments.number("radius", radius, 0, ends=False, give="a positive number, 1 for a model whose powers stay bounded")
     arguments.whole_number("iterations", iterations, 0)
     return R, free

@@ -1,8 +1,7 @@
 """The simulated experiment: PID in the loop, torques held over each sample (paper, "Data collection").
 
-The loop is written once: it runs on floats for a single run and on arrays for many runs at once. The paper gives no
-gains. Ours place the poles of the double integrator ``J qddot = u`` at 4 rad/s with damping 0.9: documented, fast
-against the excitation (0.2 and 0.8 rad/s), slow against the sampling time of 0.01 s.
+The paper gives no gains. Ours place the poles of the double integrator ``J qddot = u`` at 4 rad/s with damping 0.9:
+fast against the excitation (0.2 and 0.8 rad/s), slow against the sampling time of 0.01 s.
 """
 
 import math
@@ -12,16 +11,9 @@ from types import SimpleNamespace
 import numpy as np
 
 from tras.recording import Recording
-from tras.twin_rotor.plant import (
-    LUMPED,
-    STATE_NAMES,
-    STATE_UNITS,
-    TORQUE_NAMES,
-    TORQUE_UNITS,
-    PlantParameters,
-    stepper,
-    torque_limits,
-)
+from tras.twin_rotor import plant
+from tras.twin_rotor.plant import LUMPED, STATE_NAMES, TORQUE_NAMES, PlantParameters, stepper, torque_limits
+from tras.workflow import arguments
 from tras.workflow.provenance import versions
 
 REFERENCE_NAMES = ("phi_ref", "psi_ref")
@@ -58,13 +50,11 @@ class PID:
 
     def __post_init__(self):
         for name in "PID":
-            gain = getattr(self, name)
-            if isinstance(gain, bool) or not isinstance(gain, (int, float, np.number)) or not math.isfinite(gain):
-                raise ValueError(f"{name} is {gain!r}; give a finite gain.")
+            arguments.number(name, getattr(self, name), give="a finite gain")
         object.__setattr__(self, "limits", torque_limits("limits", self.limits))
 
     @classmethod
-    def pole_placement(cls, inertia, limits, *, frequency=4.0, damping=0.9, integral_rate=1.0):
+    def pole_placement(cls, inertia, limits, *, frequency=4.0, damping=0.9, integral_rate=1.0) -> "PID":
         """``P = J w^2``, ``D = 2 zeta w J``, ``I = P * integral_rate`` for an axis of the given inertia (kg m^2).
 
         ``frequency`` in rad/s, ``integral_rate`` in 1/s.
@@ -73,7 +63,7 @@ class PID:
         return cls(P=P, I=P * integral_rate, D=2 * damping * frequency * inertia, limits=limits)
 
     @classmethod
-    def defaults(cls, parameters):
+    def defaults(cls, parameters: PlantParameters) -> tuple["PID", "PID"]:
         """The project's pair (pitch, yaw). Yaw's inertia is the one at level beam, ``J + J_psi0``."""
         return (
             cls.pole_placement(parameters.J_phi, parameters.u_phi_limits, integral_rate=1.0),
@@ -81,12 +71,13 @@ class PID:
         )
 
 
-def simulate_closed_loop(reference, dt, parameters=None, *, controllers=None, x0=None, step=0.01, attributes=None):
+def simulate_closed_loop(
+    reference, dt: float, parameters=None, *, controllers=None, x0=None, step: float = 0.01, attributes=None
+) -> Recording:
     """Follow references with the PID and record everything.
 
     At each sample the controller reads state and reference, and its torque is held until the next. By default the rig
-    starts at rest ON the first reference with the integrators balanced (a bumpless start: the operator settles the rig,
-    then starts the recorder).
+    starts at rest ON the first reference with the integrators balanced (bumpless).
 
     Parameters
     ----------
@@ -124,12 +115,13 @@ def simulate_closed_loop(reference, dt, parameters=None, *, controllers=None, x0
     return _simulated(reference[None], dt, rigs, controllers, x0, step, attributes)
 
 
-def simulate_closed_loops(references, dt, parameters=None, *, controllers=None, x0=None, step=0.01, attributes=None):
+def simulate_closed_loops(
+    references, dt: float, parameters=None, *, controllers=None, x0=None, step: float = 0.01, attributes=None
+) -> Recording:
     """Simulate many runs for a Monte Carlo study: other references, initial states or rigs.
 
     Each run is that of `simulate_closed_loop` to the accuracy of the integration (1e-9 over 6 s). Forty runs or more
-    take each step together, as long as the fastest rig allows: about ten times as fast for a thousand runs
-    (`benchmarks/closed_loops.py`). Fewer runs are faster one after the other, and are simulated so.
+    take each step together, about ten times as fast for a thousand runs (`benchmarks/closed_loops.py`).
 
     Parameters
     ----------
@@ -138,8 +130,7 @@ def simulate_closed_loops(references, dt, parameters=None, *, controllers=None, 
     parameters : PlantParameters or sequence of them, optional
         One rig for all, or one per run.
     controllers : (PID, PID), optional
-        Pitch and yaw, for every run; default `PID.defaults` of the one rig, or of the rigs' mean parameters if there
-        are several: the loop was tuned before anyone knew which rig it would be.
+        Pitch and yaw, for every run; default `PID.defaults` of the rigs' mean parameters.
     x0 : (4,) or (runs, 4) array_like, optional
         Initial states, one for all or one per run.
     dt, step, attributes
@@ -148,8 +139,8 @@ def simulate_closed_loops(references, dt, parameters=None, *, controllers=None, 
     Returns
     -------
     Recording
-        One trajectory per run, with the channels of `simulate_closed_loop`. The attributes hold parameters that differ
-        between rigs as lists over the runs.
+        One trajectory per run, with the channels of `simulate_closed_loop`. Parameters that differ between rigs are
+        attributes with a list over the runs.
 
     Raises
     ------
@@ -171,7 +162,7 @@ def simulate_closed_loops(references, dt, parameters=None, *, controllers=None, 
     return _simulated(references, dt, rigs, controllers, x0, step, attributes)
 
 
-def saturated(recording, parameters):
+def saturated(recording: Recording, parameters: PlantParameters) -> np.ndarray:
     """Share of samples with a torque at its limit, (pitch, yaw), as fractions.
 
     The limits are those of the controllers, which `simulate_closed_loop` records, else those of ``parameters``.
@@ -200,9 +191,9 @@ def _simulated(references, dt, rigs, controllers, x0, step, attributes):
         list(np.concatenate([references, torques], axis=2)),
         dt,
         state_names=STATE_NAMES,
+        state_units=plant.STATE_UNITS,
         input_names=REFERENCE_NAMES + TORQUE_NAMES,
-        state_units=STATE_UNITS,
-        input_units=REFERENCE_UNITS + TORQUE_UNITS,
+        input_units=REFERENCE_UNITS + plant.TORQUE_UNITS,
         attributes={
             **{f"plant_{name}": _one_or_all([rig.as_dict()[name] for rig in rigs]) for name in rigs[0].as_dict()},
             **{f"pid_{axis}_{gain}": getattr(pid[axis], gain) for axis in pid for gain in "PID"},
@@ -214,11 +205,11 @@ def _simulated(references, dt, rigs, controllers, x0, step, attributes):
     )
 
 
-def _loop(reference, dt, plant, controllers, x0, step):
+def _loop(reference, dt, rig, controllers, x0, step):
     """States (..., samples, 4) and torques (..., samples, 2) under a reference (..., samples, 2).
 
-    A single run takes plain floats, many runs take arrays and make each step together: the recursion over the samples
-    cannot be vectorised. ``plant`` is a rig, or several as `_stacked` gives them.
+    A single run takes plain floats, many runs take arrays and make each step together. ``rig`` is one, or several as
+    `_stacked` makes them.
     """
     batch = reference.shape[:-2]
     functions, clip = (np, np.clip) if batch else (math, _clip)
@@ -230,11 +221,11 @@ def _loop(reference, dt, plant, controllers, x0, step):
         x, reference = x.tolist(), reference.tolist()
     integrals = [0.0, 0.0]
     if x0 is None:
-        gravity = plant.G_c * functions.cos(x[0]) + plant.G_s * functions.sin(x[0])
-        balance = (gravity, plant.K_psi * x[2])
+        gravity = rig.G_c * functions.cos(x[0]) + rig.G_s * functions.sin(x[0])
+        balance = (gravity, rig.K_psi * x[2])
         integrals = [clip(torque, *pid.limits) if pid.I else 0.0 for pid, torque in zip(controllers, balance)]
     integral_phi, integral_psi = integrals
-    advance = stepper(plant, dt, step=step, functions=functions)
+    advance = stepper(rig, dt, step=step, functions=functions)
     pitch, yaw = (_control_law(pid, dt, clip) for pid in controllers)
     states, torques = [], []
     with np.errstate(over="ignore", invalid="ignore"):  # `advance` raises

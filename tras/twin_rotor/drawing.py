@@ -9,19 +9,13 @@ PHI is PITCH and PSI is YAW. The origin is the pivot, where the pitch axis cross
 
       V = g [(m_m l_m - m_t l_t) sin(phi) - 2 m_cw l_cw cos(phi)],    dV/dphi = G_c cos(phi) + G_s sin(phi).
 
-  The main rotor's side is the heavier one (m_m l_m > m_t l_t), so gravity pulls it down and the rig rests at
-  phi = -atan(G_c / G_s) = -0.491 rad, nose down.
+  The main rotor's side is the heavier one, so the rig rests nose down, at phi = -atan(G_c / G_s) = -0.491 rad.
 * psi > 0 turns the beam counter-clockwise as seen from above.
 
-Beam coordinates (a, b, c) turn with the rig: a points along the beam towards the main rotor, b along the pitch axis,
-c upwards at right angles to both. The rotors' masses of the equations of motion lie in the plane b = 0, the
-counterweights beside the pillar at b = +-0.061 m; that only adds a constant 2 m_cw b^2 to the yaw inertia, a part of
-J_z.
-
-Only l_m, l_t and l_cw enter the dynamics. Every other length here (pillar, fork, radii) serves the picture.
+Beam coordinates (a, b, c) turn with the rig: a points along the beam towards the main rotor, b along the pitch axis, c
+upwards at right angles to both. The rotors' masses lie in the plane b = 0, the counterweights at b = +-0.061 m, which
+only adds a constant 2 m_cw b^2 to the yaw inertia. Only l_m, l_t and l_cw enter the dynamics.
 """
-
-from numbers import Real
 
 import numpy as np
 import pandas as pd
@@ -29,8 +23,9 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 from scipy.spatial import ConvexHull
 
-# Solid part -> (colour, smooth?). Smooth parts are round and show no edges along their sides. The colours differ in
-# lightness as well as in hue, so the rotors differ in grey too.
+from tras.workflow import arguments
+
+# Solid part -> (colour, smooth?). Smooth parts are round, without edges along their sides. The rotors differ in grey.
 SOLIDS = {
     name: (colour, smooth)
     for colour, smooth, names in (
@@ -60,7 +55,7 @@ _PILLAR_TOP, _BASE_TOP = -0.09, -0.33  # heights, m
 _ROUND = 40  # corners of a circle
 
 
-def rig_geometry(phi, psi, *, l_m=0.202, l_t=0.216, l_cw=0.25):
+def rig_geometry(phi: float, psi: float, *, l_m=0.202, l_t=0.216, l_cw=0.25) -> pd.DataFrame:
     """Pose the rig.
 
     Parameters
@@ -77,22 +72,27 @@ def rig_geometry(phi, psi, *, l_m=0.202, l_t=0.216, l_cw=0.25):
     pandas.DataFrame
         Columns ``part`` (name), ``point`` (number within the part), ``x``, ``y``, ``z`` in m. Solid parts (`SOLIDS`)
         are prisms: the first half of their points is one end face, the second half the opposite one. `MASSES` are
-        single points, the masses of the equations of motion. The rest are lines: both axes, reference lines and arcs
-        of both angles, torques and thrusts, the last four in their positive direction.
+        single points. The rest are lines: axes, reference lines and arcs of both angles, torques and thrusts, the last
+        four in their positive direction.
 
     Raises
     ------
     ValueError
         If an angle is not finite, or a length is not positive.
     """
-    _check(phi=phi, psi=psi, l_m=l_m, l_t=l_t, l_cw=l_cw)
-    parts = _static_parts()
+    for name, value in {"phi": phi, "psi": psi}.items():
+        arguments.number(name, value, give="a finite angle in rad")
+    for name, value in {"l_m": l_m, "l_t": l_t, "l_cw": l_cw}.items():
+        arguments.number(name, value, 0, ends=False, give="a positive length in m")
+    parts = {
+        "base": _cylinder((0, 0, _BASE_TOP - 0.02), (0, 0, _BASE_TOP), 0.17, corners=72),
+        "pillar": _cylinder((0, 0, _BASE_TOP), (0, 0, _PILLAR_TOP), 0.013),
+    }
     parts |= {name: _pose(points, 0.0, psi) for name, points in _yawing_parts().items()}
-    pitching = _beam_parts(l_m, l_t, l_cw) | _mass_points(l_m, l_t, l_cw)
-    parts |= {name: _pose(points, phi, psi) for name, points in pitching.items()}
+    parts |= {name: _pose(points, phi, psi) for name, points in _beam_parts(l_m, l_t, l_cw).items()}
     parts |= _angle_lines(phi, psi, l_m) | _torque_lines(phi, psi, l_m, l_t)
 
-    # Rounding to a picometre, far below what is visible, keeps noise like cos(pi/2) = 6e-17 and "-0" out of the tables.
+    # Rounding to a picometre keeps noise like cos(pi/2) = 6e-17 and "-0" out of the tables.
     lengths = [len(points) for points in parts.values()]
     positions = np.round(np.concatenate(list(parts.values())), 12) + 0.0
     names = np.repeat(np.array(list(parts), dtype=object), lengths)
@@ -100,25 +100,12 @@ def rig_geometry(phi, psi, *, l_m=0.202, l_t=0.216, l_cw=0.25):
     return pd.DataFrame({"part": names, "point": numbers, **dict(zip("xyz", positions.T))})
 
 
-def project(points, camera=CAMERA):
-    """Project points orthographically, as seen from far away.
-
-    Parameters
-    ----------
-    points : array_like, (..., 3)
-        Positions in m.
-    camera : tuple of float
-        Azimuth and elevation of the viewer in rad.
-
-    Returns
-    -------
-    ndarray, (..., 3)
-        Right, up (in the picture) and towards the viewer, all in m.
-    """
-    return np.asarray(points, dtype=float) @ _view_axes(camera).T
+def project(points, camera=CAMERA) -> np.ndarray:
+    """Points (..., 3) in m, as seen from far away: right, up and towards the viewer; ``camera`` as for `draw_rig`."""
+    return np.asarray(points, dtype=float) @ view_axes(camera).T
 
 
-def part_points(geometry, part):
+def part_points(geometry: pd.DataFrame, part: str) -> np.ndarray:
     """Return the points of one part of a geometry table, (points, 3) in m."""
     rows = geometry.loc[geometry["part"] == part, ["x", "y", "z"]]
     if rows.empty:
@@ -128,12 +115,11 @@ def part_points(geometry, part):
 
 def draw_rig(
     axes, geometry, *, camera=CAMERA, parts=None, alpha=1.0, linewidth=0.6, edgecolor="black", colours=None, zorder=2.0
-):
+) -> list[PolyCollection]:
     """Draw the solid parts of a posed rig in ordinary two-dimensional axes, from back to front.
 
-    For an animation, draw the static parts once (``parts=STATIC``), then remove the returned artists and draw again
-    for each frame (about 20 ms per frame). A prediction beside the truth is a second call with another pose, a small
-    ``alpha`` and a lower ``zorder``.
+    For an animation, draw the static parts once (``parts=STATIC``), then remove the returned artists and draw again for
+    each frame (20 ms). A prediction beside the truth is a second call with a small ``alpha`` and a lower ``zorder``.
 
     Parameters
     ----------
@@ -147,10 +133,8 @@ def draw_rig(
         Names from `SOLIDS`; all by default.
     alpha : float
         Opacity; 1 is solid.
-    linewidth : float
-        Width of outlines in points.
-    edgecolor : colour
-        Of the outlines.
+    linewidth, edgecolor : float, colour
+        Of the outlines, in points.
     colours : dict, optional
         Part -> colour, in place of those of `SOLIDS`.
     zorder : float
@@ -158,47 +142,32 @@ def draw_rig(
 
     Returns
     -------
-    list of matplotlib.collections.PolyCollection
-        One artist with all faces, the farthest first.
+    [matplotlib.collections.PolyCollection]
+        All faces, the farthest first.
     """
     names = [name for name in SOLIDS if parts is None or name in set(parts)]
     table = geometry[geometry["part"].isin(names)]
     solids = {name: rows[["x", "y", "z"]].to_numpy() for name, rows in table.groupby("part", sort=False)}
     outlines, fills, widths = [], [], []
-    for name in _back_to_front(solids, camera):
+    for name in back_to_front(solids, camera):
         colour, smooth = SOLIDS[name]
         opacity = alpha * (0.55 if name in ROTORS else 1.0)
         for outline, fill, width in _visible_faces(solids[name], smooth, (colours or {}).get(name, colour), camera):
             outlines.append(outline)
             fills.append((*fill, opacity))
             widths.append(width * linewidth)
-    edges = (*to_rgb(edgecolor), alpha)
-    picture = PolyCollection(
-        outlines,
-        facecolors=fills,
-        linewidths=widths,
-        edgecolors=edges,
-        joinstyle="round",
-        zorder=zorder,
-    )
-    return [axes.add_collection(picture)]
+    edges = {"edgecolors": (*to_rgb(edgecolor), alpha), "linewidths": widths, "joinstyle": "round"}
+    return [axes.add_collection(PolyCollection(outlines, facecolors=fills, zorder=zorder, **edges))]
 
 
 # ---------------------------------------------------------------------------------------------------------- parts
-
-
-def _static_parts():
-    return {
-        "base": _cylinder((0, 0, _BASE_TOP - 0.02), (0, 0, _BASE_TOP), 0.17, corners=72),
-        "pillar": _cylinder((0, 0, _BASE_TOP), (0, 0, _PILLAR_TOP), 0.013),
-    }
 
 
 def _yawing_parts():
     """The fork that carries the pitch axis, in beam coordinates at level beam: it follows yaw alone."""
     parts = {"fork": _box((-0.012, 0.012), (-0.036, 0.036), (_PILLAR_TOP, _PILLAR_TOP + 0.012))}
     for side, sign in (("left", 1), ("right", -1)):
-        parts[f"{side}_ear"] = _box((-0.012, 0.012), _span(0.028, 0.036, sign), (_PILLAR_TOP + 0.012, 0.014))
+        parts[f"{side}_ear"] = _box((-0.012, 0.012), sorted((sign * 0.028, sign * 0.036)), (_PILLAR_TOP + 0.012, 0.014))
     return parts
 
 
@@ -219,14 +188,10 @@ def _beam_parts(l_m, l_t, l_cw):
     for side, sign in (("left", 1), ("right", -1)):
         parts[f"{side}_axle"] = _cylinder((0, sign * 0.016, 0), (0, sign * 0.028, 0), 0.006)
         parts[f"{side}_stub"] = _cylinder((0, sign * 0.036, 0), (0, sign * 0.045, 0), 0.006)
-        parts[f"{side}_lever"] = _box((-0.005, 0.005), _span(0.045, 0.051, sign), (-l_cw - 0.01, 0.012))
+        parts[f"{side}_lever"] = _box((-0.005, 0.005), sorted((sign * 0.045, sign * 0.051)), (-l_cw - 0.01, 0.012))
         parts[f"{side}_weight"] = _cylinder((0, sign * 0.051, -l_cw), (0, sign * 0.071, -l_cw), 0.024)
-    return parts
-
-
-def _mass_points(l_m, l_t, l_cw):
-    points = [(l_m, 0, 0), (-l_t, 0, 0), (0, 0.061, -l_cw), (0, -0.061, -l_cw)]
-    return {name: np.array([p], dtype=float) for name, p in zip(MASSES, points)}
+    masses = [(l_m, 0, 0), (-l_t, 0, 0), (0, 0.061, -l_cw), (0, -0.061, -l_cw)]
+    return parts | {name: np.array([point], dtype=float) for name, point in zip(MASSES, masses)}
 
 
 def _angle_lines(phi, psi, l_m):
@@ -248,14 +213,13 @@ def _angle_lines(phi, psi, l_m):
 def _torque_lines(phi, psi, l_m, l_t):
     """The torques as arcs about their axes and the thrusts that cause them, all in their positive direction."""
     sweep = np.radians(np.linspace(-60.0, 200.0, 66))
-    thrust = 0.1
     return {
         # From a towards c: the direction in which the main rotor rises.
         "u_phi": _pose(_circle((0, -0.135, 0), (1, 0, 0), (0, 0, 1), 0.038, sweep), 0.0, psi),
         "u_psi": _circle((0, 0, 0.15), (1, 0, 0), (0, 1, 0), 0.045, np.radians(np.linspace(-190.0, 90.0, 66))),
-        "main_thrust": _pose([[l_m, 0, 0.04], [l_m, 0, 0.04 + thrust]], phi, psi),
+        "main_thrust": _pose([[l_m, 0, 0.04], [l_m, 0, 0.04 + 0.1]], phi, psi),
         # A force along -b at a = -l_t has the moment +l_t about the vertical: it turns psi forwards.
-        "tail_thrust": _pose([[-l_t, -0.04, 0], [-l_t, -0.04 - thrust, 0]], phi, psi),
+        "tail_thrust": _pose([[-l_t, -0.04, 0], [-l_t, -0.04 - 0.1, 0]], phi, psi),
     }
 
 
@@ -303,14 +267,10 @@ def _propeller(centre, axis, radius):
     return np.concatenate([flat, flat + 0.001 * np.asarray(axis)])
 
 
-def _span(near, far, sign):
-    return tuple(sorted((sign * near, sign * far)))
-
-
 # --------------------------------------------------------------------------------------------------------- drawing
 
 
-def _view_axes(camera):
+def view_axes(camera) -> np.ndarray:
     """Unit vectors right, up and towards the viewer as rows, (3, 3)."""
     azimuth, elevation = camera
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
@@ -318,7 +278,7 @@ def _view_axes(camera):
     return np.stack([right, np.cross(towards, right), towards])
 
 
-def _face_planes(solid):
+def face_planes(solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Faces of a right prism: outward unit normals (faces, 3) and offsets (faces,) with ``normal @ point = offset``.
 
     The first and second half of the points are the first two faces; face 2 + i lies between the corners i - 1 and i.
@@ -333,7 +293,7 @@ def _face_planes(solid):
 
 
 def _corners(solid, face):
-    """Corners of one face of a prism, numbered as in `_face_planes`."""
+    """Corners of one face of a prism, numbered as in `face_planes`."""
     first, second = np.split(solid, 2)
     if face < 2:
         return (first, second)[face]
@@ -341,21 +301,21 @@ def _corners(solid, face):
     return np.stack([first[i - 1], first[i], second[i], second[i - 1]])
 
 
-def _back_to_front(solids, camera):
+def back_to_front(solids: dict[str, np.ndarray], camera) -> list[str]:
     """Sort convex solids so that each comes after all that it hides.
 
-    A face of one of them mostly separates two convex bodies that do not intersect. The body on the viewer's side of
-    that face is in front. Where no face decides, or three bodies form a cycle, the distance of the centres does.
+    A face of one of them mostly separates two of them, and the one on the viewer's side of that face is in front. Where
+    no face decides, or three solids form a cycle, the distance of the centres does.
     """
     names = list(solids)
-    right, up, towards = _view_axes(camera)
+    right, up, towards = view_axes(camera)
     points = np.concatenate([solids[name] for name in names])
     flat = points @ np.stack([right, up], axis=1)
     starts = np.cumsum([0] + [len(solids[name]) for name in names[:-1]])
     over = np.zeros((len(names), len(names)), dtype=bool)  # [i, j]: i is on the viewer's side of a separating face
     apart = np.zeros_like(over)  # the outlines do not overlap in the picture
     for i, name in enumerate(names):
-        normals, offsets = _face_planes(solids[name])
+        normals, offsets = face_planes(solids[name])
         beyond = np.minimum.reduceat(points @ normals.T - offsets, starts) > -1e-9  # (solids, faces)
         facing = normals @ towards
         over[:, i] |= (beyond & (facing > 1e-9)).any(axis=1)
@@ -376,8 +336,8 @@ def _back_to_front(solids, camera):
 
 def _visible_faces(solid, smooth, colour, camera):
     """Yield (outline (corners, 2), red-green-blue fill, relative line width) for what the viewer sees of a prism."""
-    view = _view_axes(camera)
-    normals, _ = _face_planes(solid)
+    view = view_axes(camera)
+    normals, _ = face_planes(solid)
     faces = np.flatnonzero(normals @ view[2] > 1e-9)
     if smooth:
         flat = (solid @ view.T)[:, :2]
@@ -392,12 +352,3 @@ def _shade(colour, brightness):
     rgb = np.array(to_rgb(colour))
     amount = 0.5 * brightness
     return tuple(rgb + (1 - rgb) * amount if amount > 0 else rgb * (1 + 0.6 * amount))
-
-
-def _check(*, phi, psi, **lengths):
-    for name, value in {"phi": phi, "psi": psi}.items():
-        if not (isinstance(value, Real) and np.isfinite(value)):
-            raise ValueError(f"{name} must be one finite angle in rad, not {value!r}.")
-    for name, value in lengths.items():
-        if not (isinstance(value, Real) and np.isfinite(value) and value > 0):
-            raise ValueError(f"{name} must be a positive length in m, not {value!r}.")

@@ -7,19 +7,20 @@ import math
 
 import numpy as np
 
+from tras.workflow import arguments
+
 # The paper's excitation, in the order of the plant's inputs (pitch, yaw). "0.8 and 0.2 rad/cycle" is read as rad/s.
 PITCH_MAX_FREQUENCY, YAW_MAX_FREQUENCY = 0.2, 0.8  # rad/s
 PITCH_PEAK, YAW_PEAK = 1.22173, math.pi  # rad
 
 
-def multisine(duration, dt, max_frequency, peak, rng, *, max_correlation=0.05, draws=1000):
+def multisine(duration, dt, max_frequency, peak, rng, *, max_correlation=0.05, draws=1000) -> np.ndarray:
     """Random-phase multisines, one per channel: flat spectrum, low crest factor, low correlation.
 
     Channel ``i`` is the sum of cosines of equal amplitude and random phase at the lines ``2 pi k / duration``, ``k =
     1, 2, ...`` up to ``max_frequency[i]`` (R. Pintelon and J. Schoukens, *System Identification*, 2nd ed., Sec. 5.3).
-    Each channel draws ``draws`` sets of phases. Among those whose correlation with the earlier channels is small
-    enough ("we reduced the correlation"), the one with the lowest crest factor counts. The mean is zero, the period
-    ``duration``.
+    Of ``draws`` sets of phases whose correlation with the earlier channels is small enough ("we reduced the
+    correlation"), the one with the lowest crest factor counts. The mean is zero, the period ``duration``.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ def multisine(duration, dt, max_frequency, peak, rng, *, max_correlation=0.05, d
     return np.vstack([signals, signals[:1]]) * (peak / np.abs(signals).max(axis=0))
 
 
-def multisine_lines(duration, dt, max_frequency):
+def multisine_lines(duration: float, dt: float, max_frequency: float) -> int:
     """Number of lines ``2 pi k / duration <= max_frequency`` (rad/s): over 500 s 63 for 0.8 rad/s, 15 for 0.2 rad/s."""
     lines = math.floor(max_frequency * duration / (2 * math.pi) * (1 + 1e-12))
     if lines < 1:
@@ -91,7 +92,7 @@ def multisine_lines(duration, dt, max_frequency):
     return lines
 
 
-def steps(duration, dt, peak, rng, *, shortest=4.0, longest=10.0):
+def steps(duration: float, dt: float, peak, rng, *, shortest=4.0, longest=10.0) -> np.ndarray:
     """Random levels within ``+-peak``, each for a random time between ``shortest`` and ``longest`` seconds.
 
     Channels change independently. Parameters and result as for `multisine`.
@@ -107,7 +108,7 @@ def steps(duration, dt, peak, rng, *, shortest=4.0, longest=10.0):
     return np.column_stack(signals)
 
 
-def chirp(duration, dt, max_frequency, peak):
+def chirp(duration: float, dt: float, max_frequency, peak) -> np.ndarray:
     """Sines whose frequency rises linearly from 0 to ``max_frequency`` (rad/s), one per channel, without randomness.
 
     Odd channels are cosines, so that two channels with the same sweep are not the same signal.
@@ -118,11 +119,10 @@ def chirp(duration, dt, max_frequency, peak):
     return np.sin(angle) * np.atleast_1d(peak)
 
 
-def grid(duration, dt):
+def grid(duration: float, dt: float) -> int:
     """Number of samples 0, dt, ..., duration; ``duration`` must be a whole number of ``dt``."""
     for name, value in (("duration", duration), ("dt", dt)):
-        if not (math.isfinite(value) and value > 0):
-            raise ValueError(f"{name} is {value}; give a positive time in s.")
+        arguments.number(name, value, 0, ends=False, give="a positive time in s")
     intervals = round(duration / dt)
     if intervals < 1 or abs(intervals * dt - duration) > 1e-9 * duration:
         raise ValueError(f"duration = {duration} s is not a whole number of samples of dt = {dt} s; change either.")

@@ -6,6 +6,7 @@ misprints repaired; ``docs/paper.md`` lists every repair with its reason.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import ClassVar
 
@@ -93,33 +94,20 @@ class PlantParameters:
         """
         beam = m_m * l_m**2 + m_t * l_t**2
         levers = 2 * m_cw * l_cw**2
-        return cls(
-            J=beam - levers,
-            J_psi0=levers + J_z,
-            J_phi=beam + levers + J_x,
-            G_c=g * (m_m * l_m - m_t * l_t),
-            G_s=2 * g * m_cw * l_cw,
-            C_phi=C_phi,
-            C_psi=C_psi,
-            K_psi=K_psi,
-            **limits,
-        )
+        inertias = beam - levers, levers + J_z, beam + levers + J_x  # J, J_psi0, J_phi
+        gravity = g * (m_m * l_m - m_t * l_t), 2 * g * m_cw * l_cw  # G_c, G_s
+        return cls(*inertias, *gravity, C_phi, C_psi, K_psi, **limits)
 
-    def masses(self, *, l_m=0.202, l_t=0.216, l_cw=0.25, g=9.81):
-        """A set of masses that `from_masses` lumps into these parameters, for three lengths in m.
-
-        Returns
-        -------
-        dict
-            ``m_m, m_t, m_cw`` in kg, ``J_x, J_z`` in kg m^2, with the lengths and ``g``: ready for `from_masses`.
-        """
+    def masses(self, *, l_m=0.202, l_t=0.216, l_cw=0.25, g=9.81) -> dict[str, float]:
+        """Arguments of `from_masses` that lump into these parameters, for three lengths in m: a dict."""
         m_cw = self.G_s / (2 * g * l_cw)
         levers = 2 * m_cw * l_cw**2
         m_m, m_t = np.linalg.solve([[l_m**2, l_t**2], [l_m, -l_t]], [self.J + levers, self.G_c / g]).tolist()
         J_x, J_z = self.J_phi - self.J - 2 * levers, self.J_psi0 - levers
-        return dict(m_m=m_m, m_t=m_t, m_cw=m_cw, l_m=l_m, l_t=l_t, l_cw=l_cw, J_x=J_x, J_z=J_z, g=g)
+        lengths = {"l_m": l_m, "l_t": l_t, "l_cw": l_cw}
+        return {"m_m": m_m, "m_t": m_t, "m_cw": m_cw, **lengths, "J_x": J_x, "J_z": J_z, "g": g}
 
-    def energy(self, x):
+    def energy(self, x) -> np.ndarray:
         """Kinetic plus potential energy in J of states ``x`` (..., 4) -> (...).
 
         ``d(energy)/dt = u_phi phidot + u_psi psidot - C_phi phidot^2 - C_psi psidot^2`` along every motion.
@@ -128,7 +116,7 @@ class PlantParameters:
         kinetic = (self.J_phi * phidot**2 + (self.J * np.cos(phi) ** 2 + self.J_psi0) * psidot**2) / 2
         return kinetic + self.G_c * np.sin(phi) - self.G_s * np.cos(phi) + self.K_psi * psi**2 / 2
 
-    def as_dict(self):
+    def as_dict(self) -> dict:
         """Name -> value, for provenance."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
@@ -137,10 +125,9 @@ class PlantParameters:
 class PrintedPlant(PlantParameters):
     """The rig with the pitch equation as printed: ``J psi^2 / 2 sin 2 phi`` in place of ``J psidot^2 / 2 sin 2 phi``.
 
-    Everything else is as in `PlantParameters`, and every function here accepts either. The class is here to show that
-    the repair is needed. The printed term has the unit of a torque times s^2 and contradicts mechanics: it is a pitch
-    torque that depends on yaw, without its counterpart in the yaw equation, so a closed path can gain energy;
-    ``d(energy)/dt`` is off by ``J/2 (psidot^2 - psi^2) phidot sin 2 phi``.
+    It shows that the repair is needed: the printed term has the unit of a torque times s^2, and as a pitch torque that
+    depends on yaw, without its counterpart in the yaw equation, it lets a closed path gain energy; ``d(energy)/dt`` is
+    off by ``J/2 (psidot^2 - psi^2) phidot sin 2 phi``. Every function here accepts either class.
 
     Examples
     --------
@@ -151,12 +138,12 @@ class PrintedPlant(PlantParameters):
 
     velocity_term: ClassVar[str] = "as_printed"
 
-    def as_dict(self):
+    def as_dict(self) -> dict:
         """Name -> value, for provenance, with the velocity term."""
         return {**super().as_dict(), "velocity_term": self.velocity_term}
 
 
-def torque_limits(name, limits):
+def torque_limits(name: str, limits) -> tuple[float, float]:
     """``limits`` as two floats; raises a ValueError unless they are finite torques in order."""
     try:
         low, high = map(float, limits)
@@ -167,17 +154,14 @@ def torque_limits(name, limits):
     return low, high
 
 
-def equations_of_motion(parameters, functions=np):
+def equations_of_motion(parameters: PlantParameters, functions=np) -> Callable:
     """The accelerations as a function of six scalars or arrays (paper, Sec. II, corrected).
-
-    They are written once: ``functions=math`` takes floats (the fast simulation), ``numpy`` takes arrays (many states at
-    once), ``sympy`` and ``mpmath`` serve the tests.
 
     Parameters
     ----------
     parameters : PlantParameters
     functions : module
-        Supplies ``sin`` and ``cos`` for the type of the arguments.
+        Has ``sin`` and ``cos`` for the arguments: ``math`` for floats (fast), ``numpy`` for arrays, ``sympy`` in tests.
 
     Returns
     -------
@@ -202,7 +186,7 @@ def equations_of_motion(parameters, functions=np):
     return as_printed if getattr(parameters, "velocity_term", "corrected") == "as_printed" else accelerations
 
 
-def vector_field(x, u, parameters):
+def vector_field(x, u, parameters: PlantParameters) -> np.ndarray:
     """``dx/dt = F(x, u)``: states (..., 4) and torques (..., 2) in N m -> (..., 4).
 
     Raises
@@ -216,7 +200,7 @@ def vector_field(x, u, parameters):
     return np.stack(np.broadcast_arrays(phidot, phiddot, psidot, psiddot), axis=-1)
 
 
-def jacobian(x, u, parameters):
+def jacobian(x, u, parameters: PlantParameters) -> tuple[np.ndarray, np.ndarray]:
     """Linearisation at (x, u): ``A = dF/dx`` (..., 4, 4) and ``B = dF/du`` (..., 4, 2)."""
     p = parameters
     phi, phidot, psi, psidot = np.moveaxis(_array("x", x, 4), -1, 0)
@@ -241,7 +225,7 @@ def jacobian(x, u, parameters):
     return A, B
 
 
-def rest_point(parameters, torques=(0.0, 0.0)):
+def rest_point(parameters: PlantParameters, torques=(0.0, 0.0)) -> np.ndarray:
     """The stable rest state (4,) under constant torques (N m), counterweight below the pivot.
 
     Raises
@@ -261,7 +245,7 @@ def rest_point(parameters, torques=(0.0, 0.0)):
     return np.array([phi, 0.0, u_psi / parameters.K_psi if u_psi else 0.0, 0.0])
 
 
-def simulate_plant(x0, torques, dt, parameters, *, step=0.01):
+def simulate_plant(x0, torques, dt: float, parameters: PlantParameters, *, step: float = 0.01) -> np.ndarray:
     """States at the sampling instants under torques that are held from one sample to the next.
 
     Parameters
@@ -308,17 +292,16 @@ def simulate_plant(x0, torques, dt, parameters, *, step=0.01):
     return np.moveaxis(np.array(states), (0, 1), (-2, -1))
 
 
-def stepper(parameters, dt, *, step=0.01, functions=math):
+def stepper(parameters: PlantParameters, dt: float, *, step: float = 0.01, functions=math) -> Callable:
     """The flow over one sample as ``advance((phi, phidot, psi, psidot), (u_phi, u_psi)) -> tuple``, torques held.
 
     Butcher's explicit Runge-Kutta method of order 6 with seven stages (J. C. Butcher, J. Austral. Math. Soc. 4, 1964,
-    p. 192), in steps of at most ``step`` seconds. Where the rig is faster than 1.5 rad/s the steps are shorter. Each
-    is chosen from the speed that 0.1 s of the present acceleration leads to: 0.01 s at 1.5 rad/s, 1 ms at 10 rad/s,
-    0.45 ms at 20 rad/s.
+    p. 192), in steps of at most ``step`` seconds, shorter where 0.1 s of the present acceleration leads to more than
+    1.5 rad/s: 1 ms at 10 rad/s, 0.45 ms at 20 rad/s.
 
     With TRAS-A, torques within its limits, any ``dt``, and ``step`` up to 0.01 s, the error over 6 s is at most 1e-9
-    (rad, rad/s), measured on 480 random motions with initial rates of up to 10 rad/s. On five of them, which tumble
-    or magnify every disturbance thousands of times, DOP853 at rtol 1e-12 is less exact and up to 5e-8 away.
+    (rad, rad/s), measured on 480 random motions with initial rates of up to 10 rad/s. On five of them, which tumble or
+    magnify disturbances thousands of times, DOP853 at rtol 1e-12 is up to 5e-8 away.
 
     Parameters
     ----------
@@ -334,8 +317,7 @@ def stepper(parameters, dt, *, step=0.01, functions=math):
         If ``dt`` or ``step`` is not positive; by ``advance``, if the rig gets faster than 1000 rad/s.
     """
     for name, value in (("dt", dt), ("step", step)):
-        if not (math.isfinite(value) and value > 0):
-            raise ValueError(f"{name} is {value}; give a positive time in s.")
+        arguments.number(name, value, 0, ends=False, give="a positive time in s")
     accelerations = equations_of_motion(parameters, functions)
     free = _SPEED * (_STEP / step) ** (1 / _POWER)  # rad/s: up to here `step` is short enough
 
@@ -378,24 +360,16 @@ def stepper(parameters, dt, *, step=0.01, functions=math):
             p6, q6 = p + a * (9 * w2 - 3 * w3 - 6 * w4 + 4 * w5), q + a * (9 * v2 - 3 * v3 - 6 * v4 + 4 * v5)
             k6, l6 = accelerations(p6, w6, q6, v6, u_phi, u_psi)
             a = h / 44
-            w7, v7 = (
-                w + a * (9 * k1 - 36 * k2 + 63 * k3 + 72 * k4 - 64 * k6),
-                v + a * (9 * l1 - 36 * l2 + 63 * l3 + 72 * l4 - 64 * l6),
-            )
-            p7, q7 = (
-                p + a * (9 * w - 36 * w2 + 63 * w3 + 72 * w4 - 64 * w6),
-                q + a * (9 * v - 36 * v2 + 63 * v3 + 72 * v4 - 64 * v6),
-            )
+            w7 = w + a * (9 * k1 - 36 * k2 + 63 * k3 + 72 * k4 - 64 * k6)
+            v7 = v + a * (9 * l1 - 36 * l2 + 63 * l3 + 72 * l4 - 64 * l6)
+            p7 = p + a * (9 * w - 36 * w2 + 63 * w3 + 72 * w4 - 64 * w6)
+            q7 = q + a * (9 * v - 36 * v2 + 63 * v3 + 72 * v4 - 64 * v6)
             k7, l7 = accelerations(p7, w7, q7, v7, u_phi, u_psi)
             a = h / 120
-            p, q = (
-                p + a * (11 * (w + w7) + 81 * (w3 + w4) - 32 * (w5 + w6)),
-                q + a * (11 * (v + v7) + 81 * (v3 + v4) - 32 * (v5 + v6)),
-            )
-            w, v = (
-                w + a * (11 * (k1 + k7) + 81 * (k3 + k4) - 32 * (k5 + k6)),
-                v + a * (11 * (l1 + l7) + 81 * (l3 + l4) - 32 * (l5 + l6)),
-            )
+            p = p + a * (11 * (w + w7) + 81 * (w3 + w4) - 32 * (w5 + w6))
+            q = q + a * (11 * (v + v7) + 81 * (v3 + v4) - 32 * (v5 + v6))
+            w = w + a * (11 * (k1 + k7) + 81 * (k3 + k4) - 32 * (k5 + k6))
+            v = v + a * (11 * (l1 + l7) + 81 * (l3 + l4) - 32 * (l5 + l6))
         return p, w, q, v
 
     return advance

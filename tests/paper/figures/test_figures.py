@@ -118,8 +118,8 @@ def test_nearer_parts_are_drawn_later(phi, psi):
     """Rays through the picture: of all bodies that a ray meets, the one met first must be the last one drawn."""
     table = rig.rig_geometry(phi, psi)
     solids = {name: rig.part_points(table, name) for name in rig.SOLIDS}
-    order = rig._back_to_front(solids, rig.CAMERA)
-    right, up, towards = rig._view_axes(rig.CAMERA)
+    order = rig.back_to_front(solids, rig.CAMERA)
+    right, up, towards = rig.view_axes(rig.CAMERA)
     across, height = np.meshgrid(np.linspace(-0.3, 0.3, 90), np.linspace(-0.4, 0.3, 90))
     rays = across.reshape(-1, 1) * right + height.reshape(-1, 1) * up
     surface = np.stack([_first_hit(rays, towards, solids[name]) for name in order])
@@ -132,7 +132,7 @@ def test_nearer_parts_are_drawn_later(phi, psi):
 
 def _first_hit(rays, towards, solid):
     """Largest s with ray + s * towards inside a convex body, -inf where the ray misses it."""
-    normals, offsets = rig._face_planes(solid)
+    normals, offsets = rig.face_planes(solid)
     slope, room = normals @ towards, offsets - rays @ normals.T
     with np.errstate(divide="ignore", invalid="ignore"):
         bound = room / slope
@@ -154,7 +154,7 @@ def test_two_rigs_overlay_in_one_axes():
 @pytest.mark.parametrize("wrong", [{"phi": np.nan}, {"psi": [0.1, 0.2]}, {"phi": "up"}, {"l_m": 0.0}, {"l_cw": np.inf}])
 def test_impossible_poses_are_named(wrong):
     name = next(iter(wrong))
-    with pytest.raises(ValueError, match=f"^{name} must be"):
+    with pytest.raises(ValueError, match=f"^{name} is .*; give a"):
         rig.rig_geometry(**({"phi": 0.0, "psi": 0.0} | wrong))
 
 
