@@ -15,10 +15,10 @@ from scipy.io import loadmat, savemat
 
 import tras
 from tras.io import matfile5, sampling
+from tras.io.formats import FORMATS
 from tras.io.roles import assign, guess_role
 
 R = tras.Recording
-OWN = (".nc", ".csv", ".parquet", ".mat")
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
 names = st.text(min_size=1, max_size=8).filter(
     lambda text: (
@@ -69,13 +69,13 @@ def test_round_trips_are_exact(lengths, n, m, data, tmp_path_factory):
     recording = R([draw(k, n) for k in lengths], [draw(k, m) for k in lengths], data.draw(st.floats(1e-6, 1e6)), state_names=labels[:n],
                   input_names=labels[n:], state_units=units, attributes={"seed": 3, "nested": [None, {"a": 0.1}]})  # fmt: skip
     folder = tmp_path_factory.mktemp("own")
-    for suffix in OWN[1:]:
+    for suffix in FORMATS:
         path = folder / f"a{suffix}"
         recording.write(path)
         assert same(R.read(path), recording), suffix
 
 
-@pytest.mark.parametrize("suffix", OWN[1:])
+@pytest.mark.parametrize("suffix", FORMATS)
 def test_same_content_same_bytes(suffix, experiment, tmp_path):
     for name in "ab":
         experiment.write(tmp_path / f"{name}{suffix}")
@@ -84,7 +84,7 @@ def test_same_content_same_bytes(suffix, experiment, tmp_path):
 
 
 def test_other_tools_open_ours(experiment, tmp_path):
-    for suffix in OWN[1:]:
+    for suffix in (".csv", ".parquet", ".mat"):
         experiment.write(tmp_path / f"a{suffix}")
     table = pandas.read_csv(tmp_path / "a.csv", comment="#")
     assert np.array_equal(table["phidot"], np.concatenate(experiment.states)[:, 1])
@@ -634,7 +634,7 @@ def test_tables_that_announce_absurd_sizes_are_refused_before_room_is_made(tmp_p
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
-    suffix=st.sampled_from(OWN),
+    suffix=st.sampled_from(sorted(FORMATS)),
     content=st.binary(max_size=200) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "replace")),
 )
 def test_arbitrary_content_is_a_recording_or_a_sentence(suffix, content, tmp_path):
@@ -664,7 +664,7 @@ def test_tables_of_anything_are_recordings_or_sentences(rows, separator, tmp_pat
         assert "damaged" not in str(error)  # the word for what a reader had not foreseen
 
 
-@pytest.mark.parametrize("suffix", OWN)
+@pytest.mark.parametrize("suffix", FORMATS)
 def test_every_truncation_is_noticed(suffix, tmp_path):
     R(np.arange(8.0).reshape(1, 4, 2) / 3, dt=0.1).write(path := tmp_path / f"a{suffix}")
     whole = path.read_bytes()

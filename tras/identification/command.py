@@ -15,7 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tras.io.limits import SUFFIXES
+from tras.io.formats import FORMATS
 from tras.workflow.files import project_root
 from tras.workflow.parameters import ParameterError, check_parameters, notebook_defaults
 from tras.workflow.runner import Interrupted, RunError, interruptible, run_notebook
@@ -119,7 +119,7 @@ def _parameters(options, out, root):
             raise ParameterError(
                 f"{what}: {path} {'is a folder' if path.is_dir() else 'does not exist'}; give the path of a file."
             )
-    if options.recording.suffix not in SUFFIXES:
+    if options.recording.suffix not in FORMATS:
         raise ParameterError(
             f"RECORDING: {options.recording} ends in {options.recording.suffix!r}; recordings are .csv, .parquet, .mat or .nc files."
         )

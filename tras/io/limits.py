@@ -1,4 +1,4 @@
-"""What the readers of files share: which files are read, how a file of columns is handed on, limits of size."""
+"""What the readers of files share: how a file of columns is handed on, and limits of size."""
 
 import mmap
 import struct
@@ -7,7 +7,6 @@ from typing import Callable, NamedTuple
 from tras.io.roles import RecordingError
 
 FORMAT = "tras recording 2"  # what a file of ours says that it is
-SUFFIXES = (".nc", ".csv", ".parquet", ".mat")
 MAX_VALUES = 10**8  # numbers of a recording: 800 MB
 MAX_COLUMNS = 10_000
 MAX_TEXT = 2**28  # bytes of a text file

@@ -10,8 +10,8 @@ import json
 
 import numpy as np
 
-from tras.io import matfile5, roles
-from tras.io.limits import MAX_FILE, Source, check_size
+from tras.io import matfile5, matlab73, roles
+from tras.io.limits import Source, check_size
 from tras.io.roles import RecordingError
 
 _HDF = b"\x89HDF\r\n\x1a\n"
@@ -21,14 +21,10 @@ _RATE = {"fs", "sampling_rate", "samplerate", "sample_rate", "samplingrate"}
 
 def open_table(path):
     """The `Source` of a .mat file of version 5 to 7.3."""
-    if path.stat().st_size > MAX_FILE:
-        raise RecordingError(f"it has {path.stat().st_size} bytes; up to {MAX_FILE} are read.")
     with open(path, "rb") as file:
         start = file.read(520)
     if start.startswith(_HDF) or start[512:520] == _HDF:
-        from tras.io import matlab73 as matfile73
-
-        variables = matfile73.read_variables(path)
+        variables = matlab73.read_variables(path)
     else:
         variables = matfile5.read_variables(path.read_bytes())
     if str(variables.get("header", "")).startswith('{"format": "tras'):

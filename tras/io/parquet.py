@@ -8,7 +8,7 @@ import pyarrow
 import pyarrow.parquet
 import pyarrow.types as types
 
-from tras.io.limits import MAX_COLUMNS, MAX_FILE, Source, check_size, one_line
+from tras.io.limits import MAX_COLUMNS, Source, check_size, one_line
 from tras.io.roles import RecordingError
 
 _KEY = b"tras"  # of the file's metadata
@@ -16,9 +16,9 @@ _KEY = b"tras"  # of the file's metadata
 _ID, _FIRST = b"PARQUET:field_id", int.from_bytes(b"tras", "big")
 
 
-def write_table(frame, header, path):
-    """Write a pandas table with ``header`` (a dict) in its metadata and checksums of its pages."""
-    table = pyarrow.Table.from_pandas(frame, preserve_index=False)
+def write_recording(recording, header, path):
+    """Write a recording as a table with ``header`` (a dict) in its metadata and checksums of its pages."""
+    table = pyarrow.Table.from_pandas(recording.to_frame(), preserve_index=False)
     fields = [field.with_metadata({_ID: str(_FIRST + i)}) for i, field in enumerate(table.schema)]
     table = table.cast(pyarrow.schema(fields, metadata={_KEY: json.dumps(header)}))
     pyarrow.parquet.write_table(table, path, write_page_checksum=True)
@@ -26,8 +26,6 @@ def write_table(frame, header, path):
 
 def open_table(path):
     """The `Source` of a Parquet file: only the columns that have a role are read."""
-    if path.stat().st_size > MAX_FILE:
-        raise RecordingError(f"it has {path.stat().st_size} bytes; up to {MAX_FILE} are read.")
     with _damage():
         file = pyarrow.parquet.ParquetFile(path, page_checksum_verification=True, pre_buffer=False)
         schema, rows = file.schema_arrow, file.metadata.num_rows

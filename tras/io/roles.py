@@ -71,7 +71,7 @@ def assign(names, roles, units, dt=None):
     >>> print("; ".join(guesses))
     time is column t; states are phi, phidot; inputs are u1; left out: comment
     """
-    spec = _read(roles)
+    spec = mapping(roles)
     if "time" not in spec and spec.get("trial") and guess_role(spec["trial"]) == "time":
         spec["time"] = spec["trial"]
     columns = _columns_with_a_role(names, spec)
@@ -151,8 +151,8 @@ def _is_in(vocabulary, word):
     return not vocabulary.isdisjoint(roots)
 
 
-def _read(roles):
-    """The mapping of a dict or a YAML file, its keys and the types of its values checked."""
+def mapping(roles):
+    """Roles, a dict or the path of a YAML file, as a new dict, its keys and the types of its values checked."""
     if roles is None:
         return {}
     spec = dict(roles if hasattr(roles, "items") else _yaml(Path(roles)))

@@ -56,11 +56,11 @@ def open_table(path):
     return Source(names, units, read, lambda _, row: f"line {lines[row]}", header)
 
 
-def write_table(frame, header, path):
-    """Write a pandas table as CSV that reads back to the last bit, below ``header`` (a dict) in a comment."""
+def write_recording(recording, header, path):
+    """Write a recording as CSV that reads back to the last bit, below ``header`` (a dict) in a comment."""
     with open(path, "w", encoding="utf-8", newline="") as file:
         file.write(f"{_MARK}{json.dumps(header)}\n")
-        frame.to_csv(file, index=False, lineterminator="\n")  # as many digits as it takes
+        recording.to_frame().to_csv(file, index=False, lineterminator="\n")  # as many digits as it takes
 
 
 def _decode(content):
