@@ -2,7 +2,8 @@
 
 import mmap
 import struct
-from typing import Callable, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 from tras.io.roles import RecordingError
 
@@ -50,15 +51,10 @@ def check_size(rows, columns):
 
 
 def check_heaps(path):
-    """Walk the global heaps of an HDF5 file (texts of variable length, references); every entry must lead to the next.
+    """Refuse an HDF5 file with a global heap (texts, references) of which an entry does not lead to the next.
 
     An entry of index 0 and size 0 sends HDF5 (2.0 and earlier) into an endless loop that no signal interrupts, so the
     file is checked before the library opens it. Layout: "HDF5 File Format Specification", III.E.
-
-    Raises
-    ------
-    RecordingError
-        Where an entry does not lead to the next one.
     """
     with open(path, "rb") as file:
         if not file.seek(0, 2):

@@ -9,6 +9,7 @@ import io
 import json
 
 import numpy as np
+from scipy.io import savemat
 
 from tras.io import matfile5, matlab73, roles
 from tras.io.limits import Source, check_size
@@ -27,12 +28,11 @@ def open_table(path):
         variables = matlab73.read_variables(path)
     else:
         variables = matfile5.read_variables(path.read_bytes())
-    if str(variables.get("header", "")).startswith('{"format": "tras'):
-        return _source_of_recording(variables)
-    return source(variables)
+    is_ours = str(variables.get("header", "")).startswith('{"format": "tras')
+    return (_source_of_recording if is_ours else _source)(variables)
 
 
-def source(variables):
+def _source(variables):
     """The `Source` of variables: name -> array, text, list (cells) or dict (struct)."""
     trials, steps = _trials(variables)
     tables, odd = zip(*[_columns(trial) for trial in trials]) if trials else ((), ())
@@ -57,25 +57,27 @@ def _locate(trial, row):
 
 def write_recording(recording, header, path):
     """Write states and inputs as cells (one matrix per trajectory), ``dt``, names, units, and the header as text."""
-    from scipy.io import savemat
-
     content = {"header": json.dumps(header), "dt": recording.dt}
     for key in ("state_names", "state_units", "input_names", "input_units"):
-        content[key] = _cell(getattr(recording, key))
+        content[key] = cell(getattr(recording, key))
     # The data come last, so that a file that was cut off lacks them.
-    content["inputs"], content["states"] = (_cell(arrays) for arrays in zip(*((u, x) for x, u in recording)))
+    content["inputs"], content["states"] = (cell(arrays) for arrays in zip(*((u, x) for x, u in recording)))
+    save(content, "MATLAB 5.0 MAT-file, written by tras", path, do_compression=True)
+
+
+def save(variables, title, path, **options):
+    """Write variables with ``title`` in place of SciPy's, which states the time; ``options`` of `scipy.io.savemat`."""
     memory = io.BytesIO()
-    savemat(memory, content, do_compression=True)
-    title = b"MATLAB 5.0 MAT-file, written by tras".ljust(116)  # in place of SciPy's, with its time of writing
-    path.write_bytes(title + memory.getvalue()[116:])
+    savemat(memory, variables, **options)
+    path.write_bytes(title.encode().ljust(116) + memory.getvalue()[116:])
 
 
-def _cell(values):
-    values = list(values)
-    cell = np.empty((len(values), 1), dtype=object)
+def cell(values):
+    """A cell array, (values, 1), for `save`."""
+    array = np.empty((len(values), 1), dtype=object)
     for i, value in enumerate(values):
-        cell[i, 0] = value
-    return cell
+        array[i, 0] = value
+    return array
 
 
 def _source_of_recording(variables):

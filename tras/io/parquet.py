@@ -58,16 +58,7 @@ def _damage():
     """Turn the library's errors into one sentence."""
     try:
         yield
-    except (
-        OSError,
-        ValueError,
-        TypeError,
-        KeyError,
-        NotImplementedError,
-        MemoryError,
-        RecursionError,
-        pyarrow.ArrowException,
-    ) as error:
+    except (OSError, ValueError, TypeError, KeyError, RuntimeError, MemoryError, pyarrow.ArrowException) as error:
         raise RecordingError(f"it is damaged, or of a kind that is not read ({one_line(error)}).") from error
 
 
@@ -85,15 +76,9 @@ def _column(column, name, roles):
         values = np.array(numbers.fill_null(0), dtype=np.int64)
         first = values[valid][0] if valid.any() else 0
         return np.where(valid, (values - first) / ticks, np.nan)
-    if not (
-        types.is_integer(kind)
-        or types.is_floating(kind)
-        or types.is_decimal(kind)
-        or types.is_boolean(kind)
-        or types.is_null(kind)
-    ):
+    numeric = (types.is_integer, types.is_floating, types.is_decimal, types.is_boolean, types.is_null)
+    if not any(is_kind(kind) for is_kind in numeric):
         raise RecordingError(f"column {name!r} holds {kind}, not numbers; leave it out of the roles.")
     if types.is_boolean(kind):
         column = column.cast(pyarrow.int8())
-    column = column.cast(pyarrow.float64(), safe=False)
-    return np.array(column.to_numpy(), dtype=float)
+    return np.array(column.cast(pyarrow.float64(), safe=False).to_numpy(), dtype=float)

@@ -106,7 +106,7 @@ def assign(names, roles, units, dt=None):
 
 
 def guess_role(name):
-    """ "time", "trial", "states" or "inputs" if ``name`` says so plainly, else None.
+    """Return "time", "trial", "states" or "inputs" if ``name`` says so plainly, else None.
 
     Examples
     --------
@@ -165,17 +165,13 @@ def mapping(roles):
             spec[key] = _list(key, value)
         elif key in ("time", "trial") and not (value is None or isinstance(value, str)):
             raise RecordingError(f"roles: {key} is {value!r}; give the name of one column.")
-        elif key == "units" and not (isinstance(value, dict) and _texts([*value, *value.values()])):
+        elif key == "units" and not (
+            isinstance(value, dict) and all(isinstance(word, str) for word in (*value, *value.values()))
+        ):
             raise RecordingError(f"roles: units is {value!r}; give name: unit for each.")
         elif key == "dt":
-            arguments.number(
-                "roles: dt",
-                value,
-                0,
-                ends=False,
-                give="the sampling time in s, a positive number",
-                error=RecordingError,
-            )
+            give = "the sampling time in s, a positive number"
+            arguments.number("roles: dt", value, 0, ends=False, give=give, error=RecordingError)
     return spec
 
 
@@ -193,13 +189,9 @@ def _yaml(path):
     return content
 
 
-def _texts(values):
-    return all(isinstance(value, str) for value in values)
-
-
 def _list(key, value):
     value = [value] if isinstance(value, str) else [] if value is None else value
-    if not isinstance(value, (list, tuple)) or not _texts(value):
+    if not isinstance(value, (list, tuple)) or not all(isinstance(name, str) for name in value):
         raise RecordingError(f"roles: {key} is {value!r}; give a list of names.")
     return list(value)
 
