@@ -33,10 +33,13 @@ class StateSpace(NamedTuple):
 
 
 def map_of(model):
-    """The `tras.predictors.Map` of a model that is not ``lifted_linear``: the rates of all states, or the n next states of ``one_step``."""
-    step = model.map()
-    rows = len(model.state_names_) if model.predictor == "one_step" else None
-    return step._replace(matrix=step.matrix[:rows], outward=None if step.hull is None else step.outward[:rows])
+    """(matrix, arrays of the hull or {}) of the rates of all states, or of the n next states with ``one_step``."""
+    matrix, _, hull, outward = model.map()
+    rows = slice(len(model.state_names_) if model.predictor == "one_step" else None)
+    if hull is None:
+        return matrix[rows], {}
+    corners = {"centre": hull.centre, "axes": hull.axes, "low": hull.lower, "high": hull.upper}
+    return matrix[rows], {**corners, "outward": outward[rows]}
 
 
 def identifier(name, avoid=()):

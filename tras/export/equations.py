@@ -67,7 +67,7 @@ def formulas(model, recording=None, *, tolerance=1e-3, latex=False):
         raise ValueError(f"tolerance is {tolerance!r}; give the error to allow as a fraction, from 0 to below 1.")
     expansion = Expansion(model)
     expansion.points, where = _points(expansion, recording)
-    rows = expansion.rows(map_of(model).matrix)
+    rows = expansion.rows(map_of(model)[0])
     selections, errors = _shortest(expansion, rows, tolerance, of_change=model.predictor == "one_step")
     lines = [(name, {m: row[m] for m in terms}) for name, row, terms in zip(expansion.left, rows, selections)]
     size = f"root mean square of the {'change in a sample' if model.predictor == 'one_step' else 'rate'}"
