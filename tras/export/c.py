@@ -3,7 +3,7 @@
 import numpy as np
 
 from tras.export import symbols
-from tras.export.common import file_and_name, input_vector, map_of, origin, state_vector
+from tras.export.common import file_and_name, map_of, origin, vectors
 from tras.workflow.files import replacing
 
 _SHIFTS = """\
@@ -145,10 +145,10 @@ def to_c(model, path):
 
 def _header(model, name):
     linear, m = model.predictor == "lifted_linear", len(model.input_names_)
-    x, guard = state_vector(model), f"{name.upper()}_H"
+    (x, u), guard = vectors(model), f"{name.upper()}_H"
     lines = [f"#ifndef {guard}", f"#define {guard}", "", "/*", " Vectors, in physical units:"]
     lines += [_comment(f"x[{i}]: {channel}") for i, channel in enumerate(x)]
-    lines += [_comment(f"u[{i}]: {channel}") for i, channel in enumerate(input_vector(model))]
+    lines += [_comment(f"u[{i}]: {channel}") for i, channel in enumerate(u)]
     lines += [" No input: u is not read and may be NULL."] * (m == 0) + [" */"]
     lines += [f"#define {name.upper()}_STATES {len(x)}", f"#define {name.upper()}_INPUTS {m}"]
     lines += [f"#define {name.upper()}_LIFTED {len(model.names_)}"] * linear

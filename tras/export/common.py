@@ -93,16 +93,11 @@ def origin(model, path=None, name=None):
     return [" ".join(line.split()) for line in lines]
 
 
-def state_vector(model):
-    """What the vector x holds, one line per entry: the newest sample, then the delayed ones."""
-    names = model.channels_.z_names
-    units = list(model.state_units_) * (model.delays + 1) + list(model.input_units_) * model.delays
-    return [f"{name} ({unit})" if unit else name for name, unit in zip(names, units)]
-
-
-def input_vector(model):
-    """What the vector u holds, one line per entry."""
-    return [f"{name} ({unit})" if unit else name for name, unit in zip(model.input_names_, model.input_units_)]
+def vectors(model):
+    """What the vectors x (the newest sample, then the delayed ones) and u hold, one text per entry: two lists."""
+    units = [*model.state_units_ * (model.delays + 1), *model.input_units_ * model.delays]
+    labels = (zip(model.channels_.z_names, units), zip(model.input_names_, model.input_units_))
+    return [[f"{name} ({unit})" if unit else name for name, unit in pairs] for pairs in labels]
 
 
 def to_statespace(model):

@@ -1,8 +1,7 @@
-"""The vector field, or the map from sample to sample, as formulas for a reader: text and LaTeX.
+"""The vector field, or the map from sample to sample, as formulas for a reader, in physical units: text and LaTeX.
 
-In physical units. The functions of the dictionary are expanded into sums of products, which removes the scaling from
-polynomials, exponentials and waves. A function without such an expansion (a function of a distance, for example) gets
-a line of its own in scaled channels, and each of these channels another.
+The functions of the dictionary are expanded into sums of products, which removes the scaling from polynomials,
+exponentials and waves. A function without such an expansion gets a line of its own in scaled channels.
 """
 
 import re
@@ -69,7 +68,7 @@ def formulas(model, recording=None, *, tolerance=1e-3, latex=False):
     expansion.points, where = _points(expansion, recording)
     rows = expansion.rows(map_of(model)[0])
     selections, errors = _shortest(expansion, rows, tolerance, of_change=model.predictor == "one_step")
-    lines = [(name, {m: row[m] for m in terms}) for name, row, terms in zip(expansion.left, rows, selections)]
+    lines = list(zip(expansion.left, selections))
     size = f"root mean square of the {'change in a sample' if model.predictor == 'one_step' else 'rate'}"
     notes = _notes(model, expansion, where)
     notes += [
@@ -88,45 +87,39 @@ def _points(expansion, recording):
     model = expansion.model
     if recording is not None:
         recording = model.channels_.matched(recording)
-        x, u = (
-            np.concatenate(part)
-            for part in zip(*recording.delayed(model.delays, inputs=model.channels_.delayed_inputs))
-        )
-        samples = np.linspace(0, len(x) - 1, min(len(x), 2000)).astype(int)
-        return np.hstack([x, u])[samples].T, "the recording"
+        recording = recording.delayed(model.delays, inputs=model.channels_.delayed_inputs)
+        points = np.concatenate([np.hstack(pair) for pair in recording])
+        samples = np.linspace(0, len(points) - 1, min(len(points), 2000)).astype(int)
+        return points[samples].T, "the recording"
     z = np.random.default_rng(0).uniform(-1, 1, (len(expansion.names), 2000))
     if model.hull_ is not None:
         low, high = model.hull_.low, model.hull_.high
         z = model.hull_.centre + model.hull_.axes @ ((low + high) / 2 + z * (high - low) / 2)
-    return z * expansion.scales[:, None] + expansion.offsets[
-        :, None
-    ], "random points in the box around the training data"
+    points = z * expansion.scales[:, None] + expansion.offsets[:, None]
+    return points, "random points in the box around the training data"
 
 
 def _shortest(expansion, rows, tolerance, of_change):
-    """The terms that each row needs, largest first, and the error of the others; sets the fewest digits that serve.
-
-    Half of the tolerance is for terms, the rest for digits.
-    """
+    """The terms that each row needs, largest first, and the error of the others; sets the fewest digits that serve."""
     wholes, sizes, selections = [], [], []
-    for i, row in enumerate(rows):
+    for row, point in zip(rows, expansion.points):
         terms = expansion.values(row)
-        wholes.append(terms.sum(axis=0))
-        sizes.append(_rms(wholes[-1] - expansion.points[i] if of_change else wholes[-1]))
+        whole = terms.sum(axis=0)
+        size = _rms(whole - point if of_change else whole)
         order = np.argsort([-_rms(term) for term in terms], kind="stable")
-        omitted, drop = np.zeros(len(wholes[-1])), set()
+        omitted, drop = np.zeros(len(whole)), set()
         for k in order[::-1] if tolerance else ():  # smallest first; after one that does not fit another may
-            if _rms(omitted + terms[k]) <= tolerance / 2 * sizes[-1]:
+            if _rms(omitted + terms[k]) <= tolerance / 2 * size:  # the other half is for digits
                 omitted += terms[k]
                 drop.add(k)
         monomials = list(row)
-        selections.append([monomials[k] for k in order if k not in drop])
+        selections.append({monomials[k]: row[monomials[k]] for k in order if k not in drop})
+        wholes.append(whole)
+        sizes.append(size)
     for digits in range(3 if tolerance else 17, 18):
         expansion.digits = digits
-        errors = []
-        for row, selection, whole, size in zip(rows, selections, wholes, sizes):
-            error = _rms(expansion.values({m: row[m] for m in selection}).sum(axis=0) - whole)
-            errors.append(error / size if size else 0.0)
+        changes = [_rms(expansion.values(terms).sum(axis=0) - whole) for terms, whole in zip(selections, wholes)]
+        errors = [change / size if size else 0.0 for change, size in zip(changes, sizes)]
         if max(errors) <= tolerance:
             break
     return selections, errors
@@ -141,8 +134,9 @@ def _notes(model, expansion, where):
     what = "Rates (per s)" if model.predictor == "vector_field" else f"States one sample ({model.dt_!r} s) later,"
     dictionary = f"dictionary {model.dictionary_!r}, N = {len(model.names_)}"
     notes = [f"{what} by tras {tras.__version__}; {dictionary}; physical units."]
-    pairs = zip(expansion.names, expansion.channels)
-    meanings = [f"{name} is {channel!r}" for name, channel in pairs if name != channel]
+    meanings = [
+        f"{name} is {channel!r}" for name, channel in zip(expansion.names, expansion.channels) if name != channel
+    ]
     notes += [f"Names: {', '.join(meanings)}."] * bool(meanings)
     if model.hull_ is not None:
         notes.append("Holds for the training data; beyond them the model goes on linearly, which is not written here.")
@@ -187,13 +181,13 @@ class _Latex(_Text):
         """``phidot`` as a dotted phi, ``u_phi`` with an index; names of Greek letters as these letters."""
         letter, _, index = name.partition("_")
         dotted = letter.endswith("dot") and len(letter) > 3
-        letter = letter.removesuffix("dot") if dotted else letter
-        letter = _symbol(letter)
+        letter = _symbol(letter.removesuffix("dot") if dotted else letter)
         letter = rf"\dot{{{letter}}}" if dotted else f"{{{letter}}}" if index and "_" in letter else letter
         return f"{letter}_{{{', '.join(map(_symbol, index.split('_')))}}}" if index else letter
 
 
 def _symbol(word):
+    """A word, perhaps with a number behind it, in LaTeX."""
     match = re.fullmatch(r"([A-Za-z]+)(\d+)", word)
     if match and (match[1] in _GREEK or len(match[1]) == 1):
         return f"{_symbol(match[1])}_{{{match[2]}}}"
@@ -236,7 +230,7 @@ def _tree(expansion, node, style):
     if node.kind == "z":
         return style.name(expansion.scaled[node.parts[0]])
     if node.kind in symbols.FUNCTIONS:
-        (part,) = node.parts
+        part = node.parts[0]
         argument = _sum(expansion, expansion.sum(part), style) if expansion.expands(node) else write(part)
         return style.function(node.kind, argument)
     if node.kind == "negative":

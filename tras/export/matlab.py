@@ -4,7 +4,7 @@ import numpy as np
 
 import tras
 from tras.export import symbols
-from tras.export.common import file_and_name, input_vector, map_of, origin, state_vector
+from tras.export.common import file_and_name, map_of, origin, vectors
 from tras.io.matlab import cell, save
 from tras.workflow.files import replacing
 
@@ -82,8 +82,7 @@ def to_matlab(model, path):
     ``vector_field``) the earlier inputs, as the comments list. ``vector_field`` adds ``NAME_field``. With
     ``lifted_linear``, call ``z = NAME_lift(x)``, then ``z = NAME_step(z, u)``, and ``x = NAME_read(z)``.
 
-    The .mat file (version 5) holds plain arrays, structs and cells: K, A, W or B, offsets and scales, names, units, dt,
-    the hull, the dictionary.
+    The .mat file (version 5) holds plain arrays, structs and cells: K, A, W or B, scales, names, units, hull, dictionary.
 
     Returns
     -------
@@ -119,9 +118,9 @@ def _arrays(model, notes):
     """What the .mat file holds, vectors as columns."""
     values = {
         "origin": cell(notes), "predictor": model.predictor, "dt": float(model.dt_), "delays": float(model.delays),
-        "K": model.koopman_matrix, "x_offset": model.x_offset_, "x_scale": model.x_scale_, "z_scale": model.channels_.z_scale,
-        "z_offset": model.channels_.z_offset, "u_offset": model.u_offset_[:, None], "u_scale": model.u_scale_[:, None],
-        "functions": cell(model.names_), "dictionary": _described(model.dictionary_),
+        "K": model.koopman_matrix, "x_offset": model.x_offset_, "x_scale": model.x_scale_,
+        "z_scale": model.channels_.z_scale, "z_offset": model.channels_.z_offset, "u_offset": model.u_offset_[:, None],
+        "u_scale": model.u_scale_[:, None], "functions": cell(model.names_), "dictionary": _described(model.dictionary_),
     }  # fmt: skip
     for role in ("state", "input"):
         values |= {f"{role}_{kind}": cell(getattr(model, f"{role}_{kind}_")) for kind in ("names", "units")}
@@ -167,19 +166,17 @@ def _functions(model, path, name, notes):
         is_field = model.predictor == "vector_field"
         body = (_RUNGE_KUTTA if is_field else _ONE_STEP) + f"    x_next = {x_next};\n"
         functions = ({"field": _FIELD} if is_field else {}) | {"step": ("x_next = {}(x, u)", _STEP, body)}
-    vectors = [f"x({i + 1}): {channel}" for i, channel in enumerate(state_vector(model))]
-    vectors += [f"u({i + 1}): {channel}" for i, channel in enumerate(input_vector(model))]
-    vectors += ["u: no inputs; zeros(0, columns of x)"] * (m == 0)
+    x, u = vectors(model)
+    entries = [f"x({i + 1}): {channel}" for i, channel in enumerate(x)]
+    entries += [f"u({i + 1}): {channel}" for i, channel in enumerate(u)]
+    entries += ["u: no inputs; zeros(0, columns of x)"] * (m == 0)
     words = {"name": name, "dt": repr(model.dt_), "n": n, "after": n + 1}
     load, files = _LOAD.format(file=path.name.replace("'", "''")), {}
     for which, (signature, what, body) in functions.items():
         signature = signature.format(f"{name}_{which}")
-        comments = _comments([*notes, f"{signature}: {what.format(**words)}", *(vectors if which != "read" else ())])
+        lines = [*notes, f"{signature}: {what.format(**words)}", *(entries if which != "read" else ())]
+        comments = "\n".join(f"% {' '.join(line.split())}" for line in lines)
         text = f"function {signature}\n{comments}\n{load}{body.format(**words)}end\n"
         files[path.with_name(f"{name}_{which}.m")] = text
     first = next(iter(files))
     return {**files, first: files[first] + subfunctions}
-
-
-def _comments(lines):
-    return "\n".join(f"% {' '.join(line.split())}" for line in lines)
