@@ -524,7 +524,7 @@ def test_symbols_are_the_functions(dictionary):
         (lambda m: tras.export.formulas(tras.KoopmanModel(tras.Monomials(2))), "not fitted"),
         (
             lambda m: tras.export.to_statespace(m("vector_field")),
-            "predictor is 'vector_field', which is no linear system; fit with predictor='lifted_linear'",
+            "predictor is 'vector_field', no linear system; fit with predictor='lifted_linear'",
         ),
         (
             lambda m: tras.export.formulas(m("lifted_linear")),

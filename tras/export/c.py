@@ -1,9 +1,12 @@
 """The one-step predictor as C99: a header and a source that need only libm, allocate nothing and keep no state."""
 
+from pathlib import Path
+
 import numpy as np
 
 from tras.export import symbols
 from tras.export.common import file_and_name, map_of, origin, vectors
+from tras.model import KoopmanModel
 from tras.workflow.files import replacing
 
 _SHIFTS = """\
@@ -107,17 +110,13 @@ _LINEAR_INPUTS = "        for (int j = 0; j < INPUTS; j++) next[i] += B[i][j] * 
 _UNUSED = "    (void)u;\n"
 
 
-def to_c(model, path):
-    """Write a model as C99: ``path``, which ends in .c, and a header of the same name.
+def to_c(model: KoopmanModel, path: str | Path) -> list[Path]:
+    """Write a model as C99: ``path``, which ends in .c, and a header of the same name; returns both paths.
 
     ``void NAME_step(const double *x, const double *u, double *x_next)`` predicts one sample in physical units, also
     beyond the training data; NAME is the file's. With delays, x holds the newest sample, then the earlier ones, then
     (except with ``vector_field``) the earlier inputs, as the header lists. ``vector_field`` adds ``NAME_field``. With
     ``lifted_linear``, ``NAME_lift`` lifts x to z, ``NAME_step`` works on z, and ``NAME_read`` reads x from z.
-
-    Returns
-    -------
-    list of pathlib.Path
 
     Raises
     ------

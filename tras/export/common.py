@@ -6,11 +6,12 @@ No file contains the time of writing: the same model gives the same bytes.
 import keyword
 import re
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 import tras
+from tras.model import KoopmanModel
 
 # Names that no function or variable may have in Python, C99, MATLAB or Octave.
 _RESERVED_WORDS = {
@@ -42,7 +43,7 @@ def map_of(model):
     return matrix[rows], {**corners, "outward": outward[rows]}
 
 
-def identifier(name, avoid=()):
+def identifier(name: str, avoid=()) -> str:
     """``name`` as a variable of C, MATLAB and Python, and none to ``avoid``: ``"3 phi[-1]"`` becomes ``"x3_phi_1"``.
 
     Examples
@@ -50,7 +51,7 @@ def identifier(name, avoid=()):
     >>> identifier("phi[-1]"), identifier("while"), identifier("phi", avoid={"phi"})
     ('phi_1', 'while_', 'phi_2')
     """
-    word = re.sub(r"\W+", "_", str(name), flags=re.ASCII).strip("_")[:40] or "x"
+    word = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")[:40] or "x"
     word = f"x{word}" if word[0].isdigit() else word
     word = f"{word}_" if word in _RESERVED_WORDS else word
     candidate, k = word, 2
@@ -75,7 +76,7 @@ def file_and_name(path, suffix):
     return path, identifier(path.stem)
 
 
-def origin(model, path=None, name=None):
+def origin(model, path, name):
     """Lines of text: where a file comes from, and what its numbers mean."""
     units = [unit or "unit unknown" for unit in (*model.state_units_, *model.input_units_)]
     channels = [f"{channel} ({unit})" for channel, unit in zip((*model.state_names_, *model.input_names_), units)]
@@ -88,7 +89,7 @@ def origin(model, path=None, name=None):
         f"states: {', '.join(channels[:n])}",
         f"inputs: {', '.join(channels[n:]) or 'none'}",
     ]
-    if path is not None and path.stem != name:
+    if path.stem != name:
         lines.append(f"Functions are called {name}_..., because {path.stem!r} is no name in the language.")
     return [" ".join(line.split()) for line in lines]
 
@@ -100,7 +101,7 @@ def vectors(model):
     return [[f"{name} ({unit})" if unit else name for name, unit in pairs] for pairs in labels]
 
 
-def to_statespace(model):
+def to_statespace(model: KoopmanModel) -> Any:
     """A ``lifted_linear`` model as ``z[k+1] = A z[k] + B u[k]``, ``x[k] = C z[k] + D u[k]``.
 
     The states z are the liftings of scaled channels; u and x are in physical units. The constant function is the first
@@ -128,9 +129,7 @@ def to_statespace(model):
     """
     model.require_fitted()
     if model.predictor != "lifted_linear":
-        raise ValueError(
-            f"predictor is {model.predictor!r}, which is no linear system; fit with predictor='lifted_linear'."
-        )
+        raise ValueError(f"predictor is {model.predictor!r}, no linear system; fit with predictor='lifted_linear'.")
     n, m = len(model.state_names_), len(model.input_names_)
     A, B = model.koopman_matrix.T.copy(), model.B_ / model.u_scale_
     A[:, 0] -= B @ model.u_offset_  # the first function is the constant

@@ -12,6 +12,8 @@ import tras
 from tras.export import symbols
 from tras.export.common import map_of
 from tras.export.expansion import Expansion
+from tras.model import KoopmanModel
+from tras.recording import Recording
 
 _GREEK = (
     "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau upsilon phi chi psi "
@@ -19,20 +21,22 @@ _GREEK = (
 ).split()
 
 
-def formulas(model, recording=None, *, tolerance=1e-3, latex=False):
+def formulas(
+    model: KoopmanModel, recording: Recording | None = None, *, tolerance: float = 1e-3, latex: bool = False
+) -> str:
     """The vector field of a model, or its map from sample to sample, in physical units and with the channels' names.
 
     Parameters
     ----------
-    model : KoopmanModel
+    model
         With the predictor ``vector_field`` or ``one_step``.
-    recording : Recording, optional
+    recording
         Where terms are weighed, for example the training data. The default is random points in the box around the
         training data, along their principal axes (`tras.hull.Hull`); without a hull, in the ranges of the channels.
-    tolerance : float
+    tolerance
         How much omitted terms and rounded digits may change a row together, as a fraction of its root mean square, or
         with ``one_step`` of that of the change per sample. 0 omits nothing and writes 17 digits.
-    latex : bool
+    latex
         Write an ``aligned`` block instead of text. The text is Python: it runs after ``from math import *``, given
         values for the channels.
 
@@ -134,22 +138,13 @@ def _notes(model, expansion, where):
     what = "Rates (per s)" if model.predictor == "vector_field" else f"States one sample ({model.dt_!r} s) later,"
     dictionary = f"dictionary {model.dictionary_!r}, N = {len(model.names_)}"
     notes = [f"{what} by tras {tras.__version__}; {dictionary}; physical units."]
-    meanings = [
-        f"{name} is {channel!r}" for name, channel in zip(expansion.names, expansion.channels) if name != channel
-    ]
-    notes += [f"Names: {', '.join(meanings)}."] * bool(meanings)
+    pairs = zip(expansion.names, expansion.channels)
+    meanings = ", ".join(f"{name} is {channel!r}" for name, channel in pairs if name != channel)
+    notes += [f"Names: {meanings}."] * bool(meanings)
     if model.hull_ is not None:
         notes.append("Holds for the training data; beyond them the model goes on linearly, which is not written here.")
     notes.append(f"Terms in the order of their size over {where}; numbers with {expansion.digits} digits.")
     return [" ".join(note.split()) for note in notes]
-
-
-def _definitions(expansion, lines):
-    """Channels that are scaled and nodes that get a line of their own, as far as the lines need them."""
-    factors = {factor for _, row in lines for monomial in row for factor, _ in monomial}
-    atoms = [node for k, node in enumerate(expansion.atoms, len(expansion.names)) if k in factors]
-    nodes = [node for node in atoms if node in expansion.definitions]
-    return sorted(node.parts[0] for node in symbols.ordered(nodes)[0] if node.kind == "z"), nodes
 
 
 class _Text:
@@ -245,9 +240,10 @@ def _tree(expansion, node, style):
 
 def _all_lines(expansion, lines, style):
     """(name, formula) of each line, after the definitions that the lines need."""
-    channels, nodes = _definitions(expansion, lines)
-    formulas = []
-    for i in channels:
+    factors = {factor for _, row in lines for monomial in row for factor, _ in monomial}
+    atoms = [node for k, node in enumerate(expansion.atoms, len(expansion.names)) if k in factors]
+    nodes, formulas = [node for node in atoms if node in expansion.definitions], []
+    for i in sorted(node.parts[0] for node in symbols.ordered(nodes)[0] if node.kind == "z"):
         offset, scale = expansion.round(expansion.offsets[i]), expansion.round(expansion.scales[i])
         shift = f"{style.name(expansion.names[i])} {'-' if offset >= 0 else '+'} {style.number(abs(offset))}"
         shift = style.brackets(shift) if style is _Text else shift

@@ -9,6 +9,7 @@ from tras.export import symbols
 from tras.export.common import identifier, identifiers
 
 _UFUNCS = {"+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "negative": np.negative}
+_UFUNCS |= {name: getattr(np, name) for name in symbols.FUNCTIONS}
 
 
 class Expansion:
@@ -118,8 +119,5 @@ class Expansion:
             return (self.points[i] - self.round(self.offsets[i])) / self.round(self.scales[i])
         if node.kind in symbols.FUNCTIONS and node not in self.definitions and self.expands(node):
             terms = self.sum(node.parts[0]).items()
-            return getattr(np, node.kind)(sum(self.round(v) * (self.points[m[0][0]] if m else 1.0) for m, v in terms))
-        parts = [value_of(part) for part in node.parts]
-        if node.kind in symbols.FUNCTIONS:
-            return getattr(np, node.kind)(parts[0])
-        return _UFUNCS[node.kind](*parts)
+            return _UFUNCS[node.kind](sum(self.round(v) * (self.points[m[0][0]] if m else 1.0) for m, v in terms))
+        return _UFUNCS[node.kind](*map(value_of, node.parts))

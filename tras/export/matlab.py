@@ -1,11 +1,14 @@
 """The model for MATLAB and GNU Octave: a .mat file with its arrays, and functions (.m) that evaluate the model."""
 
+from pathlib import Path
+
 import numpy as np
 
 import tras
 from tras.export import symbols
 from tras.export.common import file_and_name, map_of, origin, vectors
 from tras.io.matlab import cell, save
+from tras.model import KoopmanModel
 from tras.workflow.files import replacing
 
 _LOAD = """\
@@ -74,19 +77,15 @@ _LINEAR = {
 }
 
 
-def to_matlab(model, path):
-    """Write a model for MATLAB and GNU Octave: arrays to ``path``, which ends in .mat, and functions beside it.
+def to_matlab(model: KoopmanModel, path: str | Path) -> list[Path]:
+    """Write a model for MATLAB and Octave: arrays to ``path`` (.mat), functions beside it; returns the paths.
 
     ``x_next = NAME_step(x, u)`` predicts one sample in physical units, one point per column, also beyond the training
     data; NAME is the file's. With delays, x holds the newest sample, then the earlier ones, then (except with
     ``vector_field``) the earlier inputs, as the comments list. ``vector_field`` adds ``NAME_field``. With
     ``lifted_linear``, call ``z = NAME_lift(x)``, then ``z = NAME_step(z, u)``, and ``x = NAME_read(z)``.
 
-    The .mat file (version 5) holds plain arrays, structs and cells: K, A, W or B, scales, names, units, hull, dictionary.
-
-    Returns
-    -------
-    list of pathlib.Path
+    The .mat file (version 5) holds plain arrays, structs and cells: K, A, W or B, scales, names, hull, dictionary.
 
     Raises
     ------
@@ -120,7 +119,7 @@ def _arrays(model, notes):
         "origin": cell(notes), "predictor": model.predictor, "dt": float(model.dt_), "delays": float(model.delays),
         "K": model.koopman_matrix, "x_offset": model.x_offset_, "x_scale": model.x_scale_,
         "z_scale": model.channels_.z_scale, "z_offset": model.channels_.z_offset, "u_offset": model.u_offset_[:, None],
-        "u_scale": model.u_scale_[:, None], "functions": cell(model.names_), "dictionary": _described(model.dictionary_),
+        "u_scale": model.u_scale_[:, None], "functions": cell(model.names_), "dictionary": _struct(model.dictionary_),
     }  # fmt: skip
     for role in ("state", "input"):
         values |= {f"{role}_{kind}": cell(getattr(model, f"{role}_{kind}_")) for kind in ("names", "units")}
@@ -134,7 +133,7 @@ def _arrays(model, notes):
     return values
 
 
-def _described(dictionary):
+def _struct(dictionary):
     """A dictionary as a struct: its name, those parameters that are numbers or words, and what it learnt."""
     struct = {"name": type(dictionary).__name__}
     for key, value in dictionary.get_params(deep=False).items():
@@ -142,7 +141,7 @@ def _described(dictionary):
             struct[key] = value if isinstance(value, str) else float(value)
     for key, value in vars(dictionary).items():
         if key == "parts_":
-            struct["parts"] = cell([_described(part) for part in value])
+            struct["parts"] = cell([_struct(part) for part in value])
         elif key == "kept_":
             struct["kept"] = value + 1.0  # MATLAB counts from 1
         elif key.endswith("_") and isinstance(value, (np.ndarray, float, int)):
