@@ -220,7 +220,6 @@ def _steps(model, name):
 def _array(name, values):
     """A constant array, one row per line."""
     values = np.asarray(values, dtype=float)
-    values = values[:, 0] if name in ("centre", "low", "high") else values
     size = "".join(f"[{k}]" for k in values.shape)
     if values.ndim == 1:
         return f"static const double {name}{size} = {{{_row(values)}}};\n"

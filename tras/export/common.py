@@ -39,8 +39,8 @@ def map_of(model):
     rows = slice(len(model.state_names_) if model.predictor == "one_step" else None)
     if hull is None:
         return matrix[rows], {}
-    corners = {"centre": hull.centre, "axes": hull.axes, "low": hull.lower, "high": hull.upper}
-    return matrix[rows], {**corners, "outward": outward[rows]}
+    box = {"centre": hull.centre[:, 0], "axes": hull.axes, "low": hull.lower[:, 0], "high": hull.upper[:, 0]}
+    return matrix[rows], box | {"outward": outward[rows]}
 
 
 def identifier(name: str, avoid=()) -> str:

@@ -36,7 +36,7 @@ def write(recording, path, attributes):
         FORMATS[path.suffix].write_recording(recording, header, temporary)
 
 
-def read(path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=sampling.TOLERANCE):
+def read(path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=sampling.TOLERANCE) -> dict:
     """The arguments of the `tras.Recording` that ``path`` holds; see `tras.Recording.read`."""
     path = known(path)
     if not path.is_file():
@@ -51,7 +51,7 @@ def read(path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=s
             roles |= {"time": "time", "trial": "trajectory"}
     elif dt is not None:
         roles = {**mapping(roles), "dt": dt}
-    columns, guessed = assign(source.names, roles, source.units, source.dt)
+    columns, guesses = assign(source.names, roles, source.units, source.dt)
     x, u, step, noticed = sampling.trajectories(
         source.read(columns), columns, source.locate, resample=resample, missing=missing, tolerance=tolerance
     )
@@ -66,14 +66,14 @@ def read(path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=s
         attributes = header["attributes"] | ({"noticed": noticed} if changed else {})
         units = {key: header[key] for key in ("state_units", "input_units")}
         return {**content, **units, "attributes": attributes}
-    if guessed and "dt" not in (roles or {}):
-        guessed.append(f"the sampling time is {step:g} s")
+    if guesses and "dt" not in (roles or {}):
+        guesses.append(f"the sampling time is {step:g} s")
     units = [[columns.units.get(name, "") for name in names] for names in (columns.states, columns.inputs)]
-    attributes = {"source": path.name, "guessed": guessed, "noticed": [*source.remarks, *noticed]}
+    attributes = {"source": path.name, "guessed": guesses, "noticed": [*source.remarks, *noticed]}
     return {**content, "state_units": units[0], "input_units": units[1], "attributes": attributes}
 
 
-def remarks(recording):
+def remarks(recording) -> list[str]:
     """Sentences on what the reader of a file guessed and noticed, or [].
 
     Examples
@@ -87,7 +87,7 @@ def remarks(recording):
     return [f"{key.title()}: {remark}." for key, value in lists.items() if isinstance(value, list) for remark in value]
 
 
-def checksum(header, trajectories):
+def checksum(header: dict, trajectories) -> str:
     """SHA-256 of the header (without its own checksum) and all numbers."""
     labels = {key: value for key, value in header.items() if key != "checksum"}
     total = hashlib.sha256(json.dumps(labels, sort_keys=True).encode())
@@ -98,7 +98,7 @@ def checksum(header, trajectories):
     return total.hexdigest()
 
 
-def known(path):
+def known(path: str | Path) -> Path:
     """``path`` if its suffix is one of ours."""
     path = Path(path)
     if path.suffix not in FORMATS:

@@ -3,6 +3,7 @@
 import mmap
 import struct
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 from tras.io.roles import RecordingError
@@ -35,12 +36,12 @@ class Source(NamedTuple):
     remarks: list = []
 
 
-def one_line(error):
+def one_line(error: Exception) -> str:
     """The message of a library's error in one line."""
     return " ".join(str(error).strip("'").split()) or type(error).__name__
 
 
-def check_size(rows, columns):
+def check_size(rows: int, columns: int) -> None:
     """Refuse a table before memory is allocated for it."""
     if columns > MAX_COLUMNS:
         raise RecordingError(f"it has {columns} columns; up to {MAX_COLUMNS} are read.")
@@ -50,7 +51,7 @@ def check_size(rows, columns):
         )
 
 
-def check_heaps(path):
+def check_heaps(path: Path) -> None:
     """Refuse an HDF5 file with a global heap (texts, references) of which an entry does not lead to the next.
 
     An entry of index 0 and size 0 sends HDF5 (2.0 and earlier) into an endless loop that no signal interrupts, so the

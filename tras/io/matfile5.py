@@ -22,7 +22,7 @@ _NOT_WHOLE = "it ends in the middle of a variable; the file is not whole."
 _REFUSED = {3: "an object", 5: "a sparse matrix", 16: "a function handle", 17: _OPAQUE}
 
 
-def read_variables(content):
+def read_variables(content: bytes) -> dict:
     """Name -> value of every variable; refuses damage, deep nesting, and sparse, complex or object data."""
     endian = {b"IM": "<", b"MI": ">"}.get(content[126:128])
     if endian is None or struct.unpack(endian + "H", content[124:126])[0] != 0x0100:

@@ -7,6 +7,7 @@ states2, ...``, a field of a struct inside the only struct ``motor.torque``. A p
 import collections
 import io
 import json
+from pathlib import Path
 
 import numpy as np
 from scipy.io import savemat
@@ -20,7 +21,7 @@ _STEP = {"dt", "ts", "tsample", "sampling_time", "sample_time", "sampletime", "s
 _RATE = {"fs", "sampling_rate", "samplerate", "sample_rate", "samplingrate"}
 
 
-def open_table(path):
+def open_table(path: Path) -> Source:
     """The `Source` of a .mat file of version 5 to 7.3."""
     with open(path, "rb") as file:
         start = file.read(520)
@@ -55,7 +56,7 @@ def _locate(trial, row):
     return f"trial {trial + 1}, row {row + 1}"
 
 
-def write_recording(recording, header, path):
+def write_recording(recording, header: dict, path: Path) -> None:
     """Write states and inputs as cells (one matrix per trajectory), ``dt``, names, units, and the header as text."""
     content = {"header": json.dumps(header), "dt": recording.dt}
     for key in ("state_names", "state_units", "input_names", "input_units"):
@@ -65,14 +66,14 @@ def write_recording(recording, header, path):
     save(content, "MATLAB 5.0 MAT-file, written by tras", path, do_compression=True)
 
 
-def save(variables, title, path, **options):
+def save(variables: dict, title: str, path: Path, **options) -> None:
     """Write variables with ``title`` in place of SciPy's, which states the time; ``options`` of `scipy.io.savemat`."""
     memory = io.BytesIO()
     savemat(memory, variables, **options)
     path.write_bytes(title.encode().ljust(116) + memory.getvalue()[116:])
 
 
-def cell(values):
+def cell(values) -> np.ndarray:
     """A cell array, (values, 1), for `save`."""
     array = np.empty((len(values), 1), dtype=object)
     for i, value in enumerate(values):

@@ -1,5 +1,7 @@
 """MATLAB's files of version 7.3 (HDF5): their variables as arrays, texts, lists (cells) and dicts (structs)."""
 
+from pathlib import Path
+
 import h5py
 import numpy as np
 
@@ -11,7 +13,7 @@ _NUMERIC = ("double", "single", "int8", "uint8", "int16", "uint16", "int32", "ui
 _DAMAGE = (OSError, KeyError, RuntimeError, TypeError, ValueError, AttributeError, OverflowError, MemoryError)
 
 
-def read_variables(path):
+def read_variables(path: Path) -> dict:
     """Name -> value of every variable; refuses what `tras.io.matfile5` does, and links and data in other files."""
     check_heaps(path)
     budget = {"parts": 0, "values": 0}

@@ -1,6 +1,7 @@
 """Recordings as NetCDF-4 files (.nc) and as xarray datasets."""
 
 import json
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -12,7 +13,7 @@ _TIME = {"units": "s", "long_name": "time since the trajectory's start"}
 _ROW_SIZE = {"sample_dimension": "sample", "long_name": "samples of each trajectory"}
 
 
-def to_xarray(recording, attributes):
+def to_xarray(recording, attributes: dict):
     """See `tras.Recording.to_xarray`; ``attributes`` are the recording's, in the types of JSON."""
     import xarray
 
@@ -34,13 +35,13 @@ def to_xarray(recording, attributes):
     return xarray.Dataset(variables, attrs={**plain, **attributes_of_format})
 
 
-def write_recording(recording, header, path):
+def write_recording(recording, header: dict, path: Path) -> None:
     """Write the dataset of `to_xarray` with the checksum of ``header``."""
     dataset = to_xarray(recording, header["attributes"]).assign_attrs(checksum=header["checksum"])
     path.write_bytes(dataset.to_netcdf(engine="h5netcdf"))  # in memory: on a full disk HDF5 cannot close a file
 
 
-def open_table(path):
+def open_table(path: Path) -> Source:
     """The `Source` of a NetCDF-4 file that `write_recording` has written."""
     import xarray
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+from pathlib import Path
 
 import numpy as np
 import pyarrow
@@ -16,7 +17,7 @@ _KEY = b"tras"  # of the file's metadata
 _ID, _FIRST = b"PARQUET:field_id", int.from_bytes(b"tras", "big")
 
 
-def write_recording(recording, header, path):
+def write_recording(recording, header: dict, path: Path) -> None:
     """Write a recording as a table with ``header`` (a dict) in its metadata and checksums of its pages."""
     table = pyarrow.Table.from_pandas(recording.to_frame(), preserve_index=False)
     fields = [field.with_metadata({_ID: str(_FIRST + i)}) for i, field in enumerate(table.schema)]
@@ -24,7 +25,7 @@ def write_recording(recording, header, path):
     pyarrow.parquet.write_table(table, path, write_page_checksum=True)
 
 
-def open_table(path):
+def open_table(path: Path) -> Source:
     """The `Source` of a Parquet file: only the columns that have a role are read."""
     with _damage():
         file = pyarrow.parquet.ParquetFile(path, page_checksum_verification=True, pre_buffer=False)

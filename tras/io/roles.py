@@ -37,7 +37,7 @@ class Roles(NamedTuple):
     units: dict
 
 
-def assign(names, roles, units, dt=None):
+def assign(names: list, roles, units: dict, dt: float | None = None) -> tuple[Roles, list]:
     """The roles of the columns ``names``: as ``roles`` specifies, the others guessed.
 
     Parameters
@@ -105,7 +105,7 @@ def assign(names, roles, units, dt=None):
     return roles, guesses + ([f"left out: {', '.join(rest)}"] if rest and guesses else [])
 
 
-def guess_role(name):
+def guess_role(name: str) -> str | None:
     """Return "time", "trial", "states" or "inputs" if ``name`` says so plainly, else None.
 
     Examples
@@ -127,7 +127,7 @@ def guess_role(name):
     return roles.pop() if len(roles) == 1 and not unclear else None
 
 
-def seconds(name, unit):
+def seconds(name: str, unit: str | None) -> tuple[int, int]:
     """(numerator, denominator) that convert the column of time ``name`` with ``unit`` to s.
 
     Raises
@@ -151,7 +151,7 @@ def _is_in(vocabulary, word):
     return not vocabulary.isdisjoint(roots)
 
 
-def mapping(roles):
+def mapping(roles) -> dict:
     """Roles, a dict or the path of a YAML file, as a new dict, its keys and the types of its values checked."""
     if roles is None:
         return {}

@@ -10,6 +10,7 @@ import io
 import itertools
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 
@@ -22,7 +23,7 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _IN_BRACKETS = re.compile(r"(.*?\S)\s*[\[(]([^\[\]()]*)[\])]\s*")
 
 
-def open_table(path):
+def open_table(path: Path) -> Source:
     """The `Source` of a text table. Numbers are read once the roles are known, so columns of comments do no harm."""
     if (size := path.stat().st_size) > MAX_TEXT:
         raise RecordingError(f"it has {size} bytes, text is read up to {MAX_TEXT}; write .parquet instead, or cut it.")
@@ -54,7 +55,7 @@ def open_table(path):
     return Source(names, units, read, lambda _, row: f"line {lines[row]}", header)
 
 
-def write_recording(recording, header, path):
+def write_recording(recording, header: dict, path: Path) -> None:
     """Write a recording as CSV that reads back to the last bit, below ``header`` (a dict) in a comment."""
     with open(path, "w", encoding="utf-8", newline="") as file:
         file.write(f"{_MARK}{json.dumps(header)}\n")
