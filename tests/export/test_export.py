@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from conftest import ROOT, linear_system, ode_recording
 from scipy.io import loadmat, savemat
+from sklearn.base import clone
 
 import tras
 from tras.export import common, symbols
@@ -496,7 +497,7 @@ def test_symbols_are_the_functions(dictionary):
     """The code of the lifting, run by Python, against the dictionary itself."""
     rng = np.random.default_rng(1)
     z = rng.uniform(-1, 1, (6, 50))
-    psi = tras.dictionaries.base.clone(dictionary).fit(z[:4].T, z[4:].T)
+    psi = clone(dictionary).fit(z[:4].T, z[4:].T)
     values = np.full((len(psi.names), 50), np.nan)
     code = symbols.code(symbols.functions(psi), symbols.C)
     exec("\n".join(line.removeprefix("const double ") for line in code), {"z": z, "psi": values, **vars(np)})

@@ -89,6 +89,14 @@ def test_other_tools_open_ours(experiment, tmp_path):
     assert list(content["state_names"]) == list(experiment.state_names)
 
 
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_roles_select_channels_of_our_own_files(suffix, experiment, tmp_path):
+    experiment.write(path := tmp_path / f"a{suffix}")
+    recording = R.read(path, {"states": ["psi"], "inputs": ["u_phi"]})
+    assert recording.state_names == ("psi",) and recording.dt == experiment.dt
+    assert np.array_equal(recording.inputs, experiment.select(inputs=["u_phi"]).inputs)
+
+
 @pytest.mark.parametrize("suffix", [".nc", ".parquet", ".mat"])
 def test_a_changed_number_is_noticed(suffix, tmp_path):
     R(np.arange(12.0).reshape(1, 6, 2), dt=0.1).write(path := tmp_path / f"a{suffix}")

@@ -219,16 +219,12 @@ def _steps(model, name):
 
 def _array(name, values):
     """A constant array, one row per line."""
-    values = np.asarray(values, dtype=float)
-    size = "".join(f"[{k}]" for k in values.shape)
-    if values.ndim == 1:
-        return f"static const double {name}{size} = {{{_row(values)}}};\n"
-    rows = ",\n".join(f"    {{{_row(row)}}}" for row in values)
+    size = "".join(f"[{k}]" for k in np.shape(values))
+    rows = [", ".join(map(symbols.literal, row)).replace("inf", "INFINITY") for row in np.atleast_2d(values)]
+    if np.ndim(values) == 1:
+        return f"static const double {name}{size} = {{{rows[0]}}};\n"
+    rows = ",\n".join(f"    {{{row}}}" for row in rows)
     return f"static const double {name}{size} = {{\n{rows}\n}};\n"
-
-
-def _row(values):
-    return ", ".join(symbols.literal(v) if np.isfinite(v) else "INFINITY" if v > 0 else "-INFINITY" for v in values)
 
 
 def _comment(line):

@@ -3,6 +3,7 @@
 No file contains the time of writing: the same model gives the same bytes.
 """
 
+import itertools
 import keyword
 import re
 from pathlib import Path
@@ -54,10 +55,8 @@ def identifier(name: str, avoid=()) -> str:
     word = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")[:40] or "x"
     word = f"x{word}" if word[0].isdigit() else word
     word = f"{word}_" if word in _RESERVED_WORDS else word
-    candidate, k = word, 2
-    while candidate in avoid:
-        candidate, k = f"{word}_{k}", k + 1
-    return candidate
+    candidates = itertools.chain([word], (f"{word}_{k}" for k in itertools.count(2)))
+    return next(candidate for candidate in candidates if candidate not in avoid)
 
 
 def identifiers(names, avoid=()):

@@ -253,10 +253,10 @@ def _all_lines(expansion, lines, style):
 
 
 def _latex(expansion, lines, notes):
-    field = expansion.model.predictor == "vector_field"
-    left = [_Latex.name(name) for name, _ in zip(expansion.names, lines)]
-    later = f"(t + {_Latex.number(expansion.model.dt_)})"
-    left = [rf"\frac{{d {name}}}{{d t}}" if field else f"{name}{later}" for name in left]
+    pattern = r"\frac{{d {}}}{{d t}}"
+    if expansion.model.predictor == "one_step":
+        pattern = f"{{}}(t + {_Latex.number(expansion.model.dt_)})"
+    left = [pattern.format(_Latex.name(name)) for name in expansion.names]
     formulas = _all_lines(expansion, [(name, row) for name, (_, row) in zip(left, lines)], _Latex)
     rows = " \\\\\n".join(f"{name} &= {formula}" for name, formula in formulas)
     return "\n".join([*(f"% {note}" for note in notes), r"\begin{aligned}", rows, r"\end{aligned}"])

@@ -40,8 +40,8 @@ class Expansion:
             if self.expands(node):
                 sums.append(self.sum(node))
             else:
-                avoid = [*self.names, *self.left, *self.scaled, *self.definitions.values()]
-                self.definitions[node] = identifier(name, avoid)
+                names = (*self.names, *self.left, *self.scaled, *self.definitions.values())
+                self.definitions[node] = identifier(name, names)
                 sums.append({((self._factor(node), 1),): 1.0})
         rows = []
         for i, weights in enumerate(matrix):

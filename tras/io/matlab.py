@@ -92,7 +92,7 @@ def _source_of_recording(variables):
         raise RecordingError(
             f"its header does not fit its content ({error}); delete the variable 'header' to read it as any other file."
         ) from error
-    return Source(names, {}, lambda _: tables, _locate, header=header)
+    return Source(names, {}, lambda _: tables, _locate, header, dt=_only_step(_steps(variables)))
 
 
 def _trials(variables):
