@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from conftest import ROOT, linear_system, ode_recording
 from scipy.io import loadmat, savemat
+from sklearn.base import clone
 
 import tras
-from tras.export import common as export
-from tras.export import symbols
+from tras.export import common, symbols
 
 CC = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 OCTAVE = shutil.which("octave-cli") or shutil.which("octave")
@@ -50,37 +50,37 @@ SOME += [
 @pytest.fixture(scope="module")
 def fitted(experiment):
     """Models by case, each made once, of the twin rotor; with delays of its angles alone."""
-    made = {}
+    models = {}
 
     def get(name, predictor, delays, extrapolation):
         key = (name, predictor, delays, extrapolation)
-        if key not in made:
+        if key not in models:
             states = ["phi", "psi"] if delays else ["phi", "phidot", "psi", "psidot"]
             recording = experiment[:8].select(states=states, inputs=["u_phi", "u_psi"])
             model = tras.KoopmanModel(
                 SHIPPED[name], predictor, delays=delays, extrapolation=extrapolation, strength=1e-3
             )
-            made[key] = model.fit(recording)
-        return made[key]
+            models[key] = model.fit(recording)
+        return models[key]
 
     return get
 
 
 def runs(model, experiment, samples, count=60):
-    """First samples (count, d + 1, n) and inputs (count, samples, m): half of them of the data, half up to twice as far out and at random."""
+    """First samples (count, d + 1, n), inputs (count, samples, m): half of the data, half random, twice as far out."""
     rng, half = np.random.default_rng(3), count // 2
     n, m, d = len(model.x_scale_), len(model.u_scale_), model.delays
     data = experiment[:8].select(states=model.state_names_, inputs=model.input_names_).cut(samples)
-    chosen = rng.choice(len(data), half)
+    numbers = rng.choice(len(data), half)
     far = rng.uniform(0.2, 2, (count - half, 1, 1))
     x0 = model.x_offset_ + model.x_scale_ * far * rng.uniform(-1, 1, (count - half, 1, n))
     x0 = x0 + 0.01 * model.x_scale_ * rng.uniform(-1, 1, (count - half, d + 1, n))
     inputs = model.u_offset_ + model.u_scale_ * far * rng.uniform(-1, 1, (count - half, samples, m))
-    return np.concatenate([data.states[chosen][:, : d + 1], x0]), np.concatenate([data.inputs[chosen], inputs])
+    return np.concatenate([data.states[numbers][:, : d + 1], x0]), np.concatenate([data.inputs[numbers], inputs])
 
 
 def stacked(model, x0, inputs):
-    """The vectors x of the exported functions, (count, n'): newest sample first, then earlier inputs where the predictor keeps them."""
+    """The vectors x of the exported functions, (count, n'): newest sample first, then perhaps earlier inputs."""
     d = model.delays
     parts = [x0[:, ::-1].reshape(len(x0), -1)]
     if d and model.predictor != "vector_field":
@@ -88,12 +88,12 @@ def stacked(model, x0, inputs):
     return np.concatenate(parts, axis=1)
 
 
-def error(model, found, true):
+def error(model, computed, true):
     """The largest error, relative to the value or, where that is larger, to the channel's half-range."""
-    return np.max(np.abs(found - true) / np.maximum(np.abs(true), model.x_scale_))
+    return np.max(np.abs(computed - true) / np.maximum(np.abs(true), model.x_scale_))
 
 
-# ------------------------------------------------------------------------------------------------------------------------------ C
+# --- C --------------------
 
 
 def compiled(model, path):
@@ -101,8 +101,8 @@ def compiled(model, path):
     files = tras.export.to_c(model, path)
     library = path.with_suffix(".so")
     flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", "-shared", "-fPIC"]
-    made = subprocess.run([CC, *flags, str(files[1]), "-o", str(library), "-lm"], capture_output=True, text=True)
-    assert made.returncode == 0 and not made.stderr, made.stderr
+    compiler = subprocess.run([CC, *flags, str(files[1]), "-o", str(library), "-lm"], capture_output=True, text=True)
+    assert compiler.returncode == 0 and not compiler.stderr, compiler.stderr
     functions = ctypes.CDLL(str(library))
 
     def call(name, size, *arguments):
@@ -139,16 +139,16 @@ def test_c_predicts_what_python_predicts(case, fitted, experiment, tmp_path):
                 x = call("rig_read", n, z)
             else:
                 x = call("rig_step", len(x), x, inputs[run, k])
-                wanted = stacked(
+                expected = stacked(
                     model, true[run : run + 1, k - d + 1 : k + 2], inputs[run : run + 1, k - d + 1 : k + 2]
                 )[0]
-                assert np.allclose(x, wanted, rtol=1e-12, atol=1e-12)  # the shifted ones too
+                assert np.allclose(x, expected, rtol=1e-12, atol=1e-12)  # the shifted ones too
             assert error(model, x[:n], true[run, k + 1]) <= 1e-12
     if model.predictor == "vector_field":
         x = stacked(model, x0, inputs)
         rates = np.array([call("rig_field", len(x[0]), *point) for point in zip(x, inputs[:, 0])])
-        wanted = model.vector_field(x, inputs[:, 0])
-        assert np.allclose(rates, wanted, rtol=1e-12, atol=1e-12 * np.abs(wanted).max())
+        expected = model.vector_field(x, inputs[:, 0])
+        assert np.allclose(rates, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
 
 
 @needs_cc
@@ -172,21 +172,21 @@ def test_c_may_write_the_next_state_over_the_present_one(fitted, experiment, tmp
     call = compiled(model, tmp_path / "rig.c")
     x0, inputs = runs(model, experiment, 3)
     x = stacked(model, x0, inputs)[0]
-    wanted, same = call("rig_step", len(x), x, inputs[0, 2]), x.copy()
+    expected, same = call("rig_step", len(x), x, inputs[0, 2]), x.copy()
     library = ctypes.CDLL(str(tmp_path / "rig.so"))
     pointer = lambda a: a.ctypes.data_as(ctypes.c_void_p)  # noqa: E731
     library.rig_step(pointer(same), pointer(np.ascontiguousarray(inputs[0, 2])), pointer(same))
-    assert np.array_equal(same, wanted)
+    assert np.array_equal(same, expected)
 
 
-# ------------------------------------------------------------------------------------------------------------------------- Octave
+# --- Octave --------------------
 
 
 def octave(folder, script):
     """Runs it in a folder and returns what it saved as out.mat."""
     command = [OCTAVE, "--norc", "--quiet", "--no-gui", "--eval", f"{script}; save('-v7', 'out.mat', 'out');"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-    assert (folder / "out.mat").is_file(), done.stderr
+    process = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert (folder / "out.mat").is_file(), process.stderr
     return loadmat(folder / "out.mat")["out"]
 
 
@@ -207,8 +207,8 @@ def test_octave_predicts_what_python_predicts(case, fitted, experiment, tmp_path
     assert error(model, out.transpose(1, 2, 0), true[:, d + 1 :]) <= 1e-12
     if model.predictor == "vector_field":
         rates = octave(tmp_path, "load in.mat; out = rig_field(x, u(:, :, 1))").T
-        wanted = model.vector_field(stacked(model, x0, inputs), inputs[:, 0])
-        assert np.allclose(rates, wanted, rtol=1e-12, atol=1e-12 * np.abs(wanted).max())
+        expected = model.vector_field(stacked(model, x0, inputs), inputs[:, 0])
+        assert np.allclose(rates, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
 
 
 @needs_octave
@@ -229,20 +229,17 @@ def test_mat_file_holds_plain_arrays(fitted, tmp_path):
     model = fitted("Union", "vector_field", 0, "linear")
     tras.export.to_matlab(model, tmp_path / "rig.mat")
     file = loadmat(tmp_path / "rig.mat", simplify_cells=True)
-    wanted = {
+    expected = {
         "K": model.koopman_matrix,
         "A": model.generator,
         "W": model.W_,
         "x_scale": model.x_scale_,
         "u_offset": model.u_offset_,
     }
-    for key, value in wanted.items():
+    for key, value in expected.items():
         assert np.array_equal(file[key], value)
-    assert (
-        file["dt"] == 0.01
-        and list(file["functions"]) == model.names_
-        and list(file["state_units"]) == ["rad", "rad/s"] * 2
-    )
+    assert file["dt"] == 0.01 and list(file["functions"]) == model.names_
+    assert list(file["state_units"]) == ["rad", "rad/s"] * 2
     assert np.array_equal(file["hull"]["axes"], model.hull_.axes)
     parts = file["dictionary"]["parts"]
     assert [part["name"] for part in parts] == ["Monomials", "GaussianRBF"] and parts[0]["degree"] == 2
@@ -252,7 +249,7 @@ def test_mat_file_holds_plain_arrays(fitted, tmp_path):
     assert np.array_equal(loadmat(tmp_path / "linear.mat")["B"], linear.B_)
 
 
-# ----------------------------------------------------------------------------------------------------------------- python-control
+# --- python-control --------------------
 
 
 @pytest.mark.parametrize(
@@ -268,26 +265,26 @@ def test_state_space_simulates_what_the_model_simulates(case, fitted, experiment
     assert isinstance(system, control.StateSpace) and system.dt == 0.01
     assert system.output_labels == list(model.state_names_) and system.input_labels == ["u_phi", "u_psi"]
     response = control.forced_response(system, np.arange(60 - d) * 0.01, inputs[0, d:].T, z0)
-    found = np.asarray(response.outputs).T
+    computed = np.asarray(response.outputs).T
     # With delays a sample is twice the last one less the one before: rounding grows with the square of the time.
-    assert error(model, found[:10], true[:10]) <= 1e-12 and error(model, found, true) <= 1e-10
+    assert error(model, computed[:10], true[:10]) <= 1e-12 and error(model, computed, true) <= 1e-10
     assert np.array_equal(system.A[0], np.eye(len(z0))[0]) and not system.B[0].any()  # the constant stays one
     # Without python-control the same matrices.
     monkeypatch.setitem(sys.modules, "control", None)
     plain = tras.export.to_statespace(model)
-    assert isinstance(plain, export.StateSpace) and plain.dt == 0.01
+    assert isinstance(plain, common.StateSpace) and plain.dt == 0.01
     assert all(np.array_equal(getattr(plain, name), getattr(system, name)) for name in "ABCD")
 
 
-# ----------------------------------------------------------------------------------------------------------------------- formulas
+# --- formulas --------------------
 
 
 def run(text, channels, points):
     """What the formulas' last lines give at points (points, channels), as Python reads them."""
-    known = {name: getattr(np, name) for name in symbols.FUNCTIONS} | dict(zip(channels, np.transpose(points)))
-    exec(text, known)
+    namespace = {name: getattr(np, name) for name in symbols.FUNCTIONS} | dict(zip(channels, np.transpose(points)))
+    exec(text, namespace)
     return np.transpose(
-        [value + np.zeros(len(points)) for name, value in known.items() if name.endswith(("_dt", "_next"))]
+        [value + np.zeros(len(points)) for name, value in namespace.items() if name.endswith(("_dt", "_next"))]
     )
 
 
@@ -299,20 +296,20 @@ def test_formulas_say_what_the_model_computes(case, tolerance, fitted, experimen
     text = tras.export.formulas(model, recording, tolerance=tolerance)
     late = recording.delayed(model.delays, inputs=model.predictor == "one_step")
     x, u = (np.concatenate(part)[::7] for part in zip(*late))
-    channels = export.identifiers([*late.state_names, *late.input_names])
+    channels = common.identifiers([*late.state_names, *late.input_names])
     values = run(text, channels, np.hstack([x, u]))
     if model.predictor == "vector_field":
-        wanted = size = model.vector_field(x, u)
+        expected = size = model.vector_field(x, u)
     else:
         z = np.hstack(
             [(x - model.channels_.z_offset) / model.channels_.z_scale, (u - model.u_offset_) / model.u_scale_]
         )
         n = len(model.x_scale_)
-        wanted = model.map()(z.T).T[:, :n] * model.x_scale_ + model.x_offset_
-        size = wanted - x[:, :n]
+        expected = model.map()(z.T).T[:, :n] * model.x_scale_ + model.x_offset_
+        size = expected - x[:, :n]
     rms = lambda v: np.sqrt(np.mean(v**2, axis=0))  # noqa: E731
     # The tolerance holds over 2000 samples of the recording; these are others.
-    assert np.all(rms(values - wanted) <= max(1.2 * tolerance, 1e-8) * rms(size))
+    assert np.all(rms(values - expected) <= max(1.2 * tolerance, 1e-8) * rms(size))
 
 
 def test_formulas_are_the_systems_own():
@@ -333,12 +330,8 @@ def test_formulas_are_the_systems_own():
 def test_latex_is_latex(fitted):
     model = fitted("GaussianRBF", "vector_field", 0, "linear")
     latex = tras.export.formulas(model, latex=True, tolerance=0.01)
-    assert (
-        r"\frac{d \phi}{d t} &= " in latex
-        and r"\dot{\phi}" in latex
-        and r"u_{\psi}" in latex
-        and r"\exp\left(-" in latex
-    )
+    for part in (r"\frac{d \phi}{d t} &= ", r"\dot{\phi}", r"u_{\psi}", r"\exp\left(-"):
+        assert part in latex
     assert latex.count("{") == latex.count("}") and latex.count(r"\left") == latex.count(r"\right")
     block = latex[latex.index(r"\begin") :]
     assert "\\dot" not in latex2mathml.converter.convert(block) and "<mfrac>" in latex2mathml.converter.convert(block)
@@ -358,7 +351,7 @@ def test_formulas_of_a_saved_model_are_the_same(fitted, tmp_path):
     assert tras.export.formulas(tras.load_model(tmp_path / "a.npz")) == tras.export.formulas(model)
 
 
-# ------------------------------------------------------------------------------------------------------------------- names, bytes
+# --- names, bytes --------------------
 
 
 def test_same_model_same_bytes(fitted, tmp_path):
@@ -387,9 +380,8 @@ def test_awkward_names_are_made_ones_that_compile(tmp_path):
     text = tras.export.formulas(model, tolerance=0)
     assert "Names: x3_angle is '3 angle *\\\\ (°)', while_ is 'while', exp_ is 'exp'." in text
     assert np.allclose(run(text, ["x3_angle", "while_", "exp_"], [[0.1, 0.2, 0.3]])[0], true, rtol=1e-12)
-    assert r"{x_{3}}_{\mathrm{angle}}" in tras.export.formulas(
-        model, tolerance=0, latex=True
-    )  # a second index needs braces
+    latex = tras.export.formulas(model, tolerance=0, latex=True)
+    assert r"{x_{3}}_{\mathrm{angle}}" in latex  # a second index needs braces
     if CC:
         call = compiled(model, tmp_path / "2 rigs.c")
         assert error(model, call("x2_rigs_step", 2, [0.1, 0.2], [0.3]), true) <= 1e-12
@@ -485,22 +477,19 @@ def test_the_pages_examples_run(experiment, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     page = (ROOT / "docs" / "export.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
-    known = {"recording": experiment[:4].select(inputs=["u_phi", "u_psi"])}
-    exec("\n".join(blocks), known)
-    assert len(blocks) == 5 and {path.name for path in tmp_path.iterdir()} == {
-        "rig.mat",
-        "rig_step.m",
-        "rig_field.m",
-        "rig.c",
-        "rig.h",
-    }
+    namespace = {"recording": experiment[:4].select(inputs=["u_phi", "u_psi"])}
+    exec("\n".join(blocks), namespace)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert len(blocks) == 5 and names == {"rig.mat", "rig_step.m", "rig_field.m", "rig.c", "rig.h"}
     if CC:
         (tmp_path / "main.c").write_text(re.search(r"```c\n(.*?)```", page, re.DOTALL)[1])
         subprocess.run(
             [CC, "-std=c99", "-Wall", "-Wextra", "-Werror", "main.c", "rig.c", "-o", "main", "-lm"], check=True
         )
         printed = float(subprocess.run(["./main"], check=True, capture_output=True, text=True).stdout)
-        assert printed == pytest.approx(known["model"].simulate([0.1, 0, 0, 0], np.zeros((101, 2)))[-1, 0], rel=1e-9)
+        assert printed == pytest.approx(
+            namespace["model"].simulate([0.1, 0, 0, 0], np.zeros((101, 2)))[-1, 0], rel=1e-9
+        )
 
 
 @pytest.mark.parametrize("dictionary", SHIPPED.values(), ids=SHIPPED)
@@ -508,7 +497,7 @@ def test_symbols_are_the_functions(dictionary):
     """The code of the lifting, run by Python, against the dictionary itself."""
     rng = np.random.default_rng(1)
     z = rng.uniform(-1, 1, (6, 50))
-    psi = tras.dictionaries.base.clone(dictionary).fit(z[:4].T, z[4:].T)
+    psi = clone(dictionary).fit(z[:4].T, z[4:].T)
     values = np.full((len(psi.names), 50), np.nan)
     code = symbols.code(symbols.functions(psi), symbols.C)
     exec("\n".join(line.removeprefix("const double ") for line in code), {"z": z, "psi": values, **vars(np)})
@@ -524,7 +513,7 @@ def test_symbols_are_the_functions(dictionary):
         (lambda m: tras.export.formulas(tras.KoopmanModel(tras.Monomials(2))), "not fitted"),
         (
             lambda m: tras.export.to_statespace(m("vector_field")),
-            "predictor is 'vector_field', which is no linear system; fit with predictor='lifted_linear'",
+            "predictor is 'vector_field', no linear system; fit with predictor='lifted_linear'",
         ),
         (
             lambda m: tras.export.formulas(m("lifted_linear")),

@@ -1,7 +1,7 @@
 """Models for other programs: C, MATLAB, formulas, and the state space of python-control.
 
-Read `common` first, then one of `c`, `matlab` and `equations` (which stands on `expansion` and `symbols`). These four are the public
-names; everything else is of the rooms.
+Read `common` first, then one of `c`, `matlab` and `equations` (which stands on `expansion` and `symbols`). Public are
+the four names below.
 """
 
 from tras.export.c import to_c as to_c

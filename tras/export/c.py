@@ -1,9 +1,12 @@
 """The one-step predictor as C99: a header and a source that need only libm, allocate nothing and keep no state."""
 
+from pathlib import Path
+
 import numpy as np
 
 from tras.export import symbols
-from tras.export.common import file_and_name, input_vector, map_of, origin, state_vector
+from tras.export.common import file_and_name, map_of, origin, vectors
+from tras.model import KoopmanModel
 from tras.workflow.files import replacing
 
 _SHIFTS = """\
@@ -67,15 +70,20 @@ void {name}_field(const double *x, const double *u, double *rate)
     for (int i = 0; i < STATES; i++) rate[i] *= x_scale[i];
 }}
 """
-_SCALE = """\
+_SCALE = """
 static void scale(const double *x, const double *u, double *z)
 {{
     for (int i = 0; i < STATES; i++) z[i] = (x[i] - x_offset[i]) / x_scale[i];
 {inputs}}}
-
+"""
+_STEP = """
+void {name}_step(const double *x, const double *u, double *x_next)
+{{
+{body}    for (int i = 0; i < {n}; i++) x_next[i] = z[i] * x_scale[i] + x_offset[i];
+}}
 """
 _SCALE_INPUTS = "    for (int i = 0; i < INPUTS; i++) z[STATES + i] = (u[i] - u_offset[i]) / u_scale[i];\n"
-_LINEAR = """
+_LINEAR = """\
 void {name}_lift(const double *x, double *z)
 {{
     double scaled[STATES];
@@ -85,36 +93,30 @@ void {name}_lift(const double *x, double *z)
 
 void {name}_step(const double *z, const double *u, double *z_next)
 {{
-{body}}}
+{unused}    double next[FUNCTIONS];
+    for (int i = 0; i < FUNCTIONS; i++) {{
+        next[i] = 0.0;
+        for (int j = 0; j < FUNCTIONS; j++) next[i] += A[i][j] * z[j];
+{inputs}    }}
+    for (int i = 0; i < FUNCTIONS; i++) z_next[i] = next[i];
+}}
 
 void {name}_read(const double *z, double *x)
 {{
     for (int i = 0; i < {n}; i++) x[i] = z[1 + i] * x_scale[i] + x_offset[i];
 }}
 """
-_LINEAR_BODY = """\
-    double next[FUNCTIONS];
-    for (int i = 0; i < FUNCTIONS; i++) {{
-        next[i] = 0.0;
-        for (int j = 0; j < FUNCTIONS; j++) next[i] += A[i][j] * z[j];
-{inputs}    }}
-    for (int i = 0; i < FUNCTIONS; i++) z_next[i] = next[i];
-"""
 _LINEAR_INPUTS = "        for (int j = 0; j < INPUTS; j++) next[i] += B[i][j] * ((u[j] - u_offset[j]) / u_scale[j]);\n"
 _UNUSED = "    (void)u;\n"
 
 
-def to_c(model, path):
-    """Write a model as C99: ``path``, which ends in .c, and a header of the same name.
+def to_c(model: KoopmanModel, path: str | Path) -> list[Path]:
+    """Write a model as C99: ``path``, which ends in .c, and a header of the same name; returns both paths.
 
     ``void NAME_step(const double *x, const double *u, double *x_next)`` predicts one sample in physical units, also
     beyond the training data; NAME is the file's. With delays, x holds the newest sample, then the earlier ones, then
     (except with ``vector_field``) the earlier inputs, as the header lists. ``vector_field`` adds ``NAME_field``. With
     ``lifted_linear``, ``NAME_lift`` lifts x to z, ``NAME_step`` works on z, and ``NAME_read`` reads x from z.
-
-    Returns
-    -------
-    list of pathlib.Path
 
     Raises
     ------
@@ -142,10 +144,10 @@ def to_c(model, path):
 
 def _header(model, name):
     linear, m = model.predictor == "lifted_linear", len(model.input_names_)
-    x, guard = state_vector(model), f"{name.upper()}_H"
+    (x, u), guard = vectors(model), f"{name.upper()}_H"
     lines = [f"#ifndef {guard}", f"#define {guard}", "", "/*", " Vectors, in physical units:"]
     lines += [_comment(f"x[{i}]: {channel}") for i, channel in enumerate(x)]
-    lines += [_comment(f"u[{i}]: {channel}") for i, channel in enumerate(input_vector(model))]
+    lines += [_comment(f"u[{i}]: {channel}") for i, channel in enumerate(u)]
     lines += [" No input: u is not read and may be NULL."] * (m == 0) + [" */"]
     lines += [f"#define {name.upper()}_STATES {len(x)}", f"#define {name.upper()}_INPUTS {m}"]
     lines += [f"#define {name.upper()}_LIFTED {len(model.names_)}"] * linear
@@ -154,46 +156,42 @@ def _header(model, name):
         lines += [
             "/* Lift a state once, step in the lifted space, where the system is linear, and read x from z. */",
             f"void {name}_lift(const double *x, double *z);",
-            f"/* One sample ({model.dt_!r} s) later, the input held; z_next may be z. */",
-            f"void {name}_step(const double *z, const double *u, double *z_next);",
-            f"void {name}_read(const double *z, double *x);",
         ]
-    else:
-        lines += [
-            f"/* One sample ({model.dt_!r} s) later, the input held; x_next may be x. */",
-            f"void {name}_step(const double *x, const double *u, double *x_next);",
-        ]
+    state = "z" if linear else "x"
+    lines += [
+        f"/* One sample ({model.dt_!r} s) later, the input held; {state}_next may be {state}. */",
+        f"void {name}_step(const double *{state}, const double *u, double *{state}_next);",
+    ]
+    lines += [f"void {name}_read(const double *z, double *x);"] * linear
     if model.predictor == "vector_field":
         lines += ["/* dx/dt. */", f"void {name}_field(const double *x, const double *u, double *rate);"]
     return "\n".join([*lines, "", "#ifdef __cplusplus", "}", "#endif", "", "#endif", ""])
 
 
 def _source(model, name):
-    linear, m, states = model.predictor == "lifted_linear", len(model.input_names_), len(model.channels_.z_scale)
-    counts = {"STATES": states, "INPUTS": m, "CHANNELS": states + m, "FUNCTIONS": len(model.names_)}
+    m, states, functions = len(model.input_names_), len(model.channels_.z_scale), len(model.names_)
+    counts = {"STATES": states} | ({"INPUTS": m} if m else {})
     arrays = {"x_offset": model.channels_.z_offset, "x_scale": model.channels_.z_scale}
     if m:
         arrays |= {"u_offset": model.u_offset_, "u_scale": model.u_scale_}
-    if linear:
-        del counts["CHANNELS"]
-        counts = counts if m else {key: value for key, value in counts.items() if key != "INPUTS"}
+    if model.predictor == "lifted_linear":
+        counts["FUNCTIONS"] = functions
         arrays |= {"A": model.koopman_matrix.T} | ({"B": model.B_} if m else {})
-        body = _lift(model) + _linear(model, name)
+        inputs, unused = (_LINEAR_INPUTS, "") if m else ("", _UNUSED)
+        body = _LINEAR.format(name=name, n=len(model.state_names_), inputs=inputs, unused=unused)
     else:
-        matrix, _, hull, outward = map_of(model)
-        counts = {key: value for key, value in counts.items() if key != "INPUTS" or m} | {"ROWS": len(matrix)}
-        arrays["matrix"] = matrix
-        if hull is not None:
-            arrays |= {
-                "centre": hull.centre[:, 0],
-                "axes": hull.axes,
-                "low": hull.lower[:, 0],
-                "high": hull.upper[:, 0],
-                "outward": outward,
-            }
-        body = _lift(model) + _map(model, hull) + _steps(model, name)
+        matrix, hull = map_of(model)
+        counts |= {"CHANNELS": states + m, "FUNCTIONS": functions, "ROWS": len(matrix)}
+        arrays |= {"matrix": matrix, **hull}
+        body = _MAP.format(
+            what="Rates of the states" if model.predictor == "vector_field" else "The states one sample later",
+            beyond="; beyond the training data linear" if hull else "",
+            hull=_HULL if hull else "    lift(z, psi);\n",
+            outward=_OUTWARD if hull else "",
+        )
+        body += _steps(model, name)
     constants = "enum { " + ", ".join(f"{key} = {value}" for key, value in counts.items()) + " };\n\n"
-    return constants + "".join(_array(key, value) for key, value in arrays.items()) + "\n" + body
+    return constants + "".join(map(_array, arrays, arrays.values())) + "\n" + _lift(model) + body
 
 
 def _lift(model):
@@ -203,53 +201,30 @@ def _lift(model):
     return "\n".join([*head, *(f"    {line}" for line in lines), "}", "", ""])
 
 
-def _map(model, hull):
-    field = model.predictor == "vector_field"
-    return _MAP.format(
-        what="Rates of the states" if field else "The states one sample later",
-        beyond="" if hull is None else "; beyond the training data linear",
-        hull="    lift(z, psi);\n" if hull is None else _HULL,
-        outward="" if hull is None else _OUTWARD,
-    )
-
-
 def _steps(model, name):
     """The functions of scaling, of one step, and of the field."""
-    n, m, d = len(model.state_names_), len(model.input_names_), model.delays
-    scale = _SCALE.format(inputs=_SCALE_INPUTS if m else _UNUSED)
-    field = model.predictor == "vector_field"
+    n, m, d, field = len(model.state_names_), len(model.input_names_), model.delays, model.predictor == "vector_field"
+    past = n * (d + 1)
     if field:
         body = _RUNGE_KUTTA.format(dt=symbols.literal(model.dt_), substeps=int(model.substeps_))
     else:
         body = "    double point[CHANNELS], z[ROWS];\n    scale(x, u, point);\n    map(point, z);\n"
     if model.channels_.delayed_inputs:
-        past = n * (d + 1)
         body += _SHIFTS_OF_INPUTS.format(end=past + m * d - 1, second=past + m, m=m, past=past)
     if d:
-        body += _SHIFTS.format(last=n * (d + 1) - 1, n=n)
-    body += f"    for (int i = 0; i < {n}; i++) x_next[i] = z[i] * x_scale[i] + x_offset[i];\n"
-    step = f"\nvoid {name}_step(const double *x, const double *u, double *x_next)\n{{\n{body}}}\n"
-    return "\n" + scale.rstrip("\n") + "\n" + step + (_FIELD.format(name=name) if field else "")
-
-
-def _linear(model, name):
-    m = len(model.input_names_)
-    body = _LINEAR_BODY.format(inputs=_LINEAR_INPUTS if m else "")
-    return _LINEAR.format(name=name, n=len(model.state_names_), body=body if m else _UNUSED + body).lstrip("\n")
+        body += _SHIFTS.format(last=past - 1, n=n)
+    scale = _SCALE.format(inputs=_SCALE_INPUTS if m else _UNUSED)
+    return scale + _STEP.format(name=name, body=body, n=n) + (_FIELD.format(name=name) if field else "")
 
 
 def _array(name, values):
     """A constant array, one row per line."""
-    values = np.asarray(values, dtype=float)
-    size = "".join(f"[{k}]" for k in values.shape)
-    if values.ndim == 1:
-        return f"static const double {name}{size} = {{{_row(values)}}};\n"
-    rows = ",\n".join(f"    {{{_row(row)}}}" for row in values)
+    size = "".join(f"[{k}]" for k in np.shape(values))
+    rows = [", ".join(map(symbols.literal, row)).replace("inf", "INFINITY") for row in np.atleast_2d(values)]
+    if np.ndim(values) == 1:
+        return f"static const double {name}{size} = {{{rows[0]}}};\n"
+    rows = ",\n".join(f"    {{{row}}}" for row in rows)
     return f"static const double {name}{size} = {{\n{rows}\n}};\n"
-
-
-def _row(values):
-    return ", ".join(symbols.literal(v) if np.isfinite(v) else "INFINITY" if v > 0 else "-INFINITY" for v in values)
 
 
 def _comment(line):

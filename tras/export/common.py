@@ -3,14 +3,16 @@
 No file contains the time of writing: the same model gives the same bytes.
 """
 
+import itertools
 import keyword
 import re
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 import tras
+from tras.model import KoopmanModel
 
 # Names that no function or variable may have in Python, C99, MATLAB or Octave.
 _RESERVED_WORDS = {
@@ -33,13 +35,16 @@ class StateSpace(NamedTuple):
 
 
 def map_of(model):
-    """The `tras.predictors.Map` of a model that is not ``lifted_linear``: the rates of all states, or the n next states of ``one_step``."""
-    step = model.map()
-    rows = len(model.state_names_) if model.predictor == "one_step" else None
-    return step._replace(matrix=step.matrix[:rows], outward=None if step.hull is None else step.outward[:rows])
+    """(matrix, arrays of the hull or {}) of the rates of all states, or of the n next states with ``one_step``."""
+    matrix, _, hull, outward = model.map()
+    rows = slice(len(model.state_names_) if model.predictor == "one_step" else None)
+    if hull is None:
+        return matrix[rows], {}
+    box = {"centre": hull.centre[:, 0], "axes": hull.axes, "low": hull.lower[:, 0], "high": hull.upper[:, 0]}
+    return matrix[rows], box | {"outward": outward[rows]}
 
 
-def identifier(name, avoid=()):
+def identifier(name: str, avoid=()) -> str:
     """``name`` as a variable of C, MATLAB and Python, and none to ``avoid``: ``"3 phi[-1]"`` becomes ``"x3_phi_1"``.
 
     Examples
@@ -47,13 +52,11 @@ def identifier(name, avoid=()):
     >>> identifier("phi[-1]"), identifier("while"), identifier("phi", avoid={"phi"})
     ('phi_1', 'while_', 'phi_2')
     """
-    word = re.sub(r"\W+", "_", str(name), flags=re.ASCII).strip("_")[:40] or "x"
+    word = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")[:40] or "x"
     word = f"x{word}" if word[0].isdigit() else word
     word = f"{word}_" if word in _RESERVED_WORDS else word
-    candidate, k = word, 2
-    while candidate in avoid:
-        candidate, k = f"{word}_{k}", k + 1
-    return candidate
+    candidates = itertools.chain([word], (f"{word}_{k}" for k in itertools.count(2)))
+    return next(candidate for candidate in candidates if candidate not in avoid)
 
 
 def identifiers(names, avoid=()):
@@ -72,7 +75,7 @@ def file_and_name(path, suffix):
     return path, identifier(path.stem)
 
 
-def origin(model, path=None, name=None):
+def origin(model, path, name):
     """Lines of text: where a file comes from, and what its numbers mean."""
     units = [unit or "unit unknown" for unit in (*model.state_units_, *model.input_units_)]
     channels = [f"{channel} ({unit})" for channel, unit in zip((*model.state_names_, *model.input_names_), units)]
@@ -85,24 +88,19 @@ def origin(model, path=None, name=None):
         f"states: {', '.join(channels[:n])}",
         f"inputs: {', '.join(channels[n:]) or 'none'}",
     ]
-    if path is not None and path.stem != name:
+    if path.stem != name:
         lines.append(f"Functions are called {name}_..., because {path.stem!r} is no name in the language.")
     return [" ".join(line.split()) for line in lines]
 
 
-def state_vector(model):
-    """What the vector x holds, one line per entry: the newest sample, then the delayed ones."""
-    names = model.channels_.z_names
-    units = list(model.state_units_) * (model.delays + 1) + list(model.input_units_) * model.delays
-    return [f"{name} ({unit})" if unit else name for name, unit in zip(names, units)]
+def vectors(model):
+    """What the vectors x (the newest sample, then the delayed ones) and u hold, one text per entry: two lists."""
+    units = [*model.state_units_ * (model.delays + 1), *model.input_units_ * model.delays]
+    labels = (zip(model.channels_.z_names, units), zip(model.input_names_, model.input_units_))
+    return [[f"{name} ({unit})" if unit else name for name, unit in pairs] for pairs in labels]
 
 
-def input_vector(model):
-    """What the vector u holds, one line per entry."""
-    return [f"{name} ({unit})" if unit else name for name, unit in zip(model.input_names_, model.input_units_)]
-
-
-def to_statespace(model):
+def to_statespace(model: KoopmanModel) -> Any:
     """A ``lifted_linear`` model as ``z[k+1] = A z[k] + B u[k]``, ``x[k] = C z[k] + D u[k]``.
 
     The states z are the liftings of scaled channels; u and x are in physical units. The constant function is the first
@@ -130,9 +128,7 @@ def to_statespace(model):
     """
     model.require_fitted()
     if model.predictor != "lifted_linear":
-        raise ValueError(
-            f"predictor is {model.predictor!r}, which is no linear system; fit with predictor='lifted_linear'."
-        )
+        raise ValueError(f"predictor is {model.predictor!r}, no linear system; fit with predictor='lifted_linear'.")
     n, m = len(model.state_names_), len(model.input_names_)
     A, B = model.koopman_matrix.T.copy(), model.B_ / model.u_scale_
     A[:, 0] -= B @ model.u_offset_  # the first function is the constant

@@ -1,8 +1,7 @@
-"""The vector field, or the map from sample to sample, as formulas for a reader: text and LaTeX.
+"""The vector field, or the map from sample to sample, as formulas for a reader, in physical units: text and LaTeX.
 
-In physical units. The functions of the dictionary are expanded into sums of products, which removes the scaling from
-polynomials, exponentials and waves. A function without such an expansion (a function of a distance, for example) gets
-a line of its own in scaled channels, and each of these channels another.
+The functions of the dictionary are expanded into sums of products, which removes the scaling from polynomials,
+exponentials and waves. A function without such an expansion gets a line of its own in scaled channels.
 """
 
 import re
@@ -13,6 +12,8 @@ import tras
 from tras.export import symbols
 from tras.export.common import map_of
 from tras.export.expansion import Expansion
+from tras.model import KoopmanModel
+from tras.recording import Recording
 
 _GREEK = (
     "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau upsilon phi chi psi "
@@ -20,20 +21,22 @@ _GREEK = (
 ).split()
 
 
-def formulas(model, recording=None, *, tolerance=1e-3, latex=False):
+def formulas(
+    model: KoopmanModel, recording: Recording | None = None, *, tolerance: float = 1e-3, latex: bool = False
+) -> str:
     """The vector field of a model, or its map from sample to sample, in physical units and with the channels' names.
 
     Parameters
     ----------
-    model : KoopmanModel
+    model
         With the predictor ``vector_field`` or ``one_step``.
-    recording : Recording, optional
+    recording
         Where terms are weighed, for example the training data. The default is random points in the box around the
         training data, along their principal axes (`tras.hull.Hull`); without a hull, in the ranges of the channels.
-    tolerance : float
+    tolerance
         How much omitted terms and rounded digits may change a row together, as a fraction of its root mean square, or
         with ``one_step`` of that of the change per sample. 0 omits nothing and writes 17 digits.
-    latex : bool
+    latex
         Write an ``aligned`` block instead of text. The text is Python: it runs after ``from math import *``, given
         values for the channels.
 
@@ -67,9 +70,9 @@ def formulas(model, recording=None, *, tolerance=1e-3, latex=False):
         raise ValueError(f"tolerance is {tolerance!r}; give the error to allow as a fraction, from 0 to below 1.")
     expansion = Expansion(model)
     expansion.points, where = _points(expansion, recording)
-    rows = expansion.rows(map_of(model).matrix)
+    rows = expansion.rows(map_of(model)[0])
     selections, errors = _shortest(expansion, rows, tolerance, of_change=model.predictor == "one_step")
-    lines = [(name, {m: row[m] for m in terms}) for name, row, terms in zip(expansion.left, rows, selections)]
+    lines = list(zip(expansion.left, selections))
     size = f"root mean square of the {'change in a sample' if model.predictor == 'one_step' else 'rate'}"
     notes = _notes(model, expansion, where)
     notes += [
@@ -88,45 +91,39 @@ def _points(expansion, recording):
     model = expansion.model
     if recording is not None:
         recording = model.channels_.matched(recording)
-        x, u = (
-            np.concatenate(part)
-            for part in zip(*recording.delayed(model.delays, inputs=model.channels_.delayed_inputs))
-        )
-        samples = np.linspace(0, len(x) - 1, min(len(x), 2000)).astype(int)
-        return np.hstack([x, u])[samples].T, "the recording"
+        recording = recording.delayed(model.delays, inputs=model.channels_.delayed_inputs)
+        points = np.concatenate([np.hstack(pair) for pair in recording])
+        samples = np.linspace(0, len(points) - 1, min(len(points), 2000)).astype(int)
+        return points[samples].T, "the recording"
     z = np.random.default_rng(0).uniform(-1, 1, (len(expansion.names), 2000))
     if model.hull_ is not None:
         low, high = model.hull_.low, model.hull_.high
         z = model.hull_.centre + model.hull_.axes @ ((low + high) / 2 + z * (high - low) / 2)
-    return z * expansion.scales[:, None] + expansion.offsets[
-        :, None
-    ], "random points in the box around the training data"
+    points = z * expansion.scales[:, None] + expansion.offsets[:, None]
+    return points, "random points in the box around the training data"
 
 
 def _shortest(expansion, rows, tolerance, of_change):
-    """The terms that each row needs, largest first, and the error of the others; sets the fewest digits that serve.
-
-    Half of the tolerance is for terms, the rest for digits.
-    """
+    """The terms that each row needs, largest first, and the error of the others; sets the fewest digits that serve."""
     wholes, sizes, selections = [], [], []
-    for i, row in enumerate(rows):
+    for row, point in zip(rows, expansion.points):
         terms = expansion.values(row)
-        wholes.append(terms.sum(axis=0))
-        sizes.append(_rms(wholes[-1] - expansion.points[i] if of_change else wholes[-1]))
+        whole = terms.sum(axis=0)
+        size = _rms(whole - point if of_change else whole)
         order = np.argsort([-_rms(term) for term in terms], kind="stable")
-        omitted, drop = np.zeros(len(wholes[-1])), set()
+        omitted, drop = np.zeros(len(whole)), set()
         for k in order[::-1] if tolerance else ():  # smallest first; after one that does not fit another may
-            if _rms(omitted + terms[k]) <= tolerance / 2 * sizes[-1]:
+            if _rms(omitted + terms[k]) <= tolerance / 2 * size:  # the other half is for digits
                 omitted += terms[k]
                 drop.add(k)
         monomials = list(row)
-        selections.append([monomials[k] for k in order if k not in drop])
+        selections.append({monomials[k]: row[monomials[k]] for k in order if k not in drop})
+        wholes.append(whole)
+        sizes.append(size)
     for digits in range(3 if tolerance else 17, 18):
         expansion.digits = digits
-        errors = []
-        for row, selection, whole, size in zip(rows, selections, wholes, sizes):
-            error = _rms(expansion.values({m: row[m] for m in selection}).sum(axis=0) - whole)
-            errors.append(error / size if size else 0.0)
+        changes = [_rms(expansion.values(terms).sum(axis=0) - whole) for terms, whole in zip(selections, wholes)]
+        errors = [change / size if size else 0.0 for change, size in zip(changes, sizes)]
         if max(errors) <= tolerance:
             break
     return selections, errors
@@ -142,20 +139,12 @@ def _notes(model, expansion, where):
     dictionary = f"dictionary {model.dictionary_!r}, N = {len(model.names_)}"
     notes = [f"{what} by tras {tras.__version__}; {dictionary}; physical units."]
     pairs = zip(expansion.names, expansion.channels)
-    meanings = [f"{name} is {channel!r}" for name, channel in pairs if name != channel]
-    notes += [f"Names: {', '.join(meanings)}."] * bool(meanings)
+    meanings = ", ".join(f"{name} is {channel!r}" for name, channel in pairs if name != channel)
+    notes += [f"Names: {meanings}."] * bool(meanings)
     if model.hull_ is not None:
         notes.append("Holds for the training data; beyond them the model goes on linearly, which is not written here.")
     notes.append(f"Terms in the order of their size over {where}; numbers with {expansion.digits} digits.")
     return [" ".join(note.split()) for note in notes]
-
-
-def _definitions(expansion, lines):
-    """Channels that are scaled and nodes that get a line of their own, as far as the lines need them."""
-    factors = {factor for _, row in lines for monomial in row for factor, _ in monomial}
-    atoms = [node for k, node in enumerate(expansion.atoms, len(expansion.names)) if k in factors]
-    nodes = [node for node in atoms if node in expansion.definitions]
-    return sorted(node.parts[0] for node in symbols.ordered(nodes)[0] if node.kind == "z"), nodes
 
 
 class _Text:
@@ -187,13 +176,13 @@ class _Latex(_Text):
         """``phidot`` as a dotted phi, ``u_phi`` with an index; names of Greek letters as these letters."""
         letter, _, index = name.partition("_")
         dotted = letter.endswith("dot") and len(letter) > 3
-        letter = letter.removesuffix("dot") if dotted else letter
-        letter = _symbol(letter)
+        letter = _symbol(letter.removesuffix("dot") if dotted else letter)
         letter = rf"\dot{{{letter}}}" if dotted else f"{{{letter}}}" if index and "_" in letter else letter
         return f"{letter}_{{{', '.join(map(_symbol, index.split('_')))}}}" if index else letter
 
 
 def _symbol(word):
+    """A word, perhaps with a number behind it, in LaTeX."""
     match = re.fullmatch(r"([A-Za-z]+)(\d+)", word)
     if match and (match[1] in _GREEK or len(match[1]) == 1):
         return f"{_symbol(match[1])}_{{{match[2]}}}"
@@ -236,7 +225,7 @@ def _tree(expansion, node, style):
     if node.kind == "z":
         return style.name(expansion.scaled[node.parts[0]])
     if node.kind in symbols.FUNCTIONS:
-        (part,) = node.parts
+        part = node.parts[0]
         argument = _sum(expansion, expansion.sum(part), style) if expansion.expands(node) else write(part)
         return style.function(node.kind, argument)
     if node.kind == "negative":
@@ -251,9 +240,10 @@ def _tree(expansion, node, style):
 
 def _all_lines(expansion, lines, style):
     """(name, formula) of each line, after the definitions that the lines need."""
-    channels, nodes = _definitions(expansion, lines)
-    formulas = []
-    for i in channels:
+    factors = {factor for _, row in lines for monomial in row for factor, _ in monomial}
+    atoms = [node for k, node in enumerate(expansion.atoms, len(expansion.names)) if k in factors]
+    nodes, formulas = [node for node in atoms if node in expansion.definitions], []
+    for i in sorted(node.parts[0] for node in symbols.ordered(nodes)[0] if node.kind == "z"):
         offset, scale = expansion.round(expansion.offsets[i]), expansion.round(expansion.scales[i])
         shift = f"{style.name(expansion.names[i])} {'-' if offset >= 0 else '+'} {style.number(abs(offset))}"
         shift = style.brackets(shift) if style is _Text else shift
@@ -263,10 +253,10 @@ def _all_lines(expansion, lines, style):
 
 
 def _latex(expansion, lines, notes):
-    field = expansion.model.predictor == "vector_field"
-    left = [_Latex.name(name) for name, _ in zip(expansion.names, lines)]
-    later = f"(t + {_Latex.number(expansion.model.dt_)})"
-    left = [rf"\frac{{d {name}}}{{d t}}" if field else f"{name}{later}" for name in left]
+    pattern = r"\frac{{d {}}}{{d t}}"
+    if expansion.model.predictor == "one_step":
+        pattern = f"{{}}(t + {_Latex.number(expansion.model.dt_)})"
+    left = [pattern.format(_Latex.name(name)) for name in expansion.names]
     formulas = _all_lines(expansion, [(name, row) for name, (_, row) in zip(left, lines)], _Latex)
     rows = " \\\\\n".join(f"{name} &= {formula}" for name, formula in formulas)
     return "\n".join([*(f"% {note}" for note in notes), r"\begin{aligned}", rows, r"\end{aligned}"])

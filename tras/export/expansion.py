@@ -1,5 +1,6 @@
 """Functions of a dictionary as sums of products in physical units, from which `tras.export.equations` selects terms."""
 
+from collections import Counter
 from functools import cache
 
 import numpy as np
@@ -8,6 +9,7 @@ from tras.export import symbols
 from tras.export.common import identifier, identifiers
 
 _UFUNCS = {"+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "negative": np.negative}
+_UFUNCS |= {name: getattr(np, name) for name in symbols.FUNCTIONS}
 
 
 class Expansion:
@@ -23,11 +25,9 @@ class Expansion:
         self.scales = np.concatenate([model.channels_.z_scale, model.u_scale_])
         self.channels = [*model.channels_.z_names, *model.input_names_]
         self.names = identifiers(self.channels)
-        states = self.names[
-            : len(model.channels_.z_scale) if model.predictor == "vector_field" else len(model.state_names_)
-        ]
-        pattern = "d{}_dt" if model.predictor == "vector_field" else "{}_next"
-        self.left = identifiers(map(pattern.format, states), self.names)
+        is_field = model.predictor == "vector_field"
+        states = self.names[: len(model.channels_.z_scale) if is_field else len(model.state_names_)]
+        self.left = identifiers([f"d{name}_dt" if is_field else f"{name}_next" for name in states], self.names)
         self.scaled = identifiers([f"{name}_s" for name in self.names], [*self.names, *self.left])
         self.atoms, self.definitions = [], {}
         self.expands, self.sum = cache(self._expands), cache(self._sum)
@@ -35,15 +35,14 @@ class Expansion:
     def rows(self, matrix):
         """The sum of each row of the map, in physical units."""
         nodes = symbols.functions(self.model.dictionary_)
-        identifiers_in_use = [*self.names, *self.left, *self.scaled]
         sums = []
         for node, name in zip(nodes, self.model.names_):
-            if not self.expands(node):
-                self.definitions[node] = identifier(name, identifiers_in_use)
-                identifiers_in_use.append(self.definitions[node])
-                sums.append({((self._factor(node), 1),): 1.0})
-            else:
+            if self.expands(node):
                 sums.append(self.sum(node))
+            else:
+                names = (*self.names, *self.left, *self.scaled, *self.definitions.values())
+                self.definitions[node] = identifier(name, names)
+                sums.append({((self._factor(node), 1),): 1.0})
         rows = []
         for i, weights in enumerate(matrix):
             row = {} if self.model.predictor == "vector_field" else {(): self.offsets[i]}
@@ -81,19 +80,19 @@ class Expansion:
             return {((self._factor(node), 1),): 1.0}
         first = self.sum(node.parts[0])
         if node.kind == "negative":
-            return {m: -v for m, v in first.items()}
-        second = self.sum(node.parts[1])
+            return {monomial: -value for monomial, value in first.items()}
         if node.kind == "/":
-            return {m: v / node.parts[1].parts[0] for m, v in first.items()}
-        total = dict(first) if node.kind in "+-" else {}
+            return {monomial: value / node.parts[1].parts[0] for monomial, value in first.items()}
+        total, second = {}, self.sum(node.parts[1])
         if node.kind in "+-":
-            for m, v in second.items():
-                total[m] = total.get(m, 0.0) + (v if node.kind == "+" else -v)
+            total = dict(first)
+            for monomial, value in second.items():
+                total[monomial] = total.get(monomial, 0.0) + (value if node.kind == "+" else -value)
             return total
-        for a, v in first.items():
-            for b, w in second.items():
-                m = _product(a, b)
-                total[m] = total.get(m, 0.0) + v * w
+        for one, value in first.items():
+            for other, factor in second.items():
+                monomial = tuple(sorted((Counter(dict(one)) + Counter(dict(other))).items()))
+                total[monomial] = total.get(monomial, 0.0) + value * factor
         return total
 
     def round(self, value):
@@ -120,15 +119,5 @@ class Expansion:
             return (self.points[i] - self.round(self.offsets[i])) / self.round(self.scales[i])
         if node.kind in symbols.FUNCTIONS and node not in self.definitions and self.expands(node):
             terms = self.sum(node.parts[0]).items()
-            return getattr(np, node.kind)(sum(self.round(v) * (self.points[m[0][0]] if m else 1.0) for m, v in terms))
-        parts = [value_of(part) for part in node.parts]
-        if node.kind in symbols.FUNCTIONS:
-            return getattr(np, node.kind)(parts[0])
-        return _UFUNCS[node.kind](*parts)
-
-
-def _product(a, b):
-    powers = dict(a)
-    for factor, power in b:
-        powers[factor] = powers.get(factor, 0) + power
-    return tuple(sorted(powers.items()))
+            return _UFUNCS[node.kind](sum(self.round(v) * (self.points[m[0][0]] if m else 1.0) for m, v in terms))
+        return _UFUNCS[node.kind](*map(value_of, node.parts))

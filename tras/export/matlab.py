@@ -1,13 +1,14 @@
 """The model for MATLAB and GNU Octave: a .mat file with its arrays, and functions (.m) that evaluate the model."""
 
-import io
+from pathlib import Path
 
 import numpy as np
-from scipy.io import savemat
 
 import tras
 from tras.export import symbols
-from tras.export.common import file_and_name, input_vector, map_of, origin, state_vector
+from tras.export.common import file_and_name, map_of, origin, vectors
+from tras.io.matlab import cell, save
+from tras.model import KoopmanModel
 from tras.workflow.files import replacing
 
 _LOAD = """\
@@ -16,13 +17,7 @@ _LOAD = """\
         model = load(fullfile(fileparts(mfilename('fullpath')), '{file}'));
     end
 """
-_STEP = """\
-function x_next = {name}_step(x, u)
-{notes}
-% x_next = {name}_step(x, u): the states one sample ({dt} s) later, in physical units, u held; one point per column.
-{vectors}
-{load}{body}end
-"""
+_SCALED = "[(x - model.z_offset) ./ model.z_scale; (u - model.u_offset) ./ model.u_scale]"
 _RUNGE_KUTTA = """\
     h = model.dt / double(model.substeps);  % classical steps of order 4
     now = x;
@@ -35,17 +30,9 @@ _RUNGE_KUTTA = """\
     end
     now = now(1:{n}, :);
 """
-_ONE_STEP = """\
-    now = map(model, [(x - model.z_offset) ./ model.z_scale; (u - model.u_offset) ./ model.u_scale]);
+_ONE_STEP = f"""\
+    now = map(model, {_SCALED});
     now = now .* model.x_scale + model.x_offset;
-"""
-_FIELD = """\
-function rates = {name}_field(x, u)
-{notes}
-% rates = {name}_field(x, u): dx/dt in physical units; one point per column.
-{vectors}
-{load}    rates = map(model, [(x - model.z_offset) ./ model.z_scale; (u - model.u_offset) ./ model.u_scale]) .* model.z_scale;
-end
 """
 _HULL = """\
     % Beyond the box around the training data, along their principal axes, the model is extended linearly.
@@ -64,47 +51,41 @@ function psi = lift(z)
 {lines}
 end
 """
+# Functions: results and arguments, what they compute, and how.
+_FIELD = (
+    "rates = {}(x, u)",
+    "dx/dt in physical units; one point per column.",
+    f"    rates = map(model, {_SCALED}) .* model.z_scale;\n",
+)
+_STEP = "the states one sample ({dt} s) later, in physical units, u held; one point per column."
 _LINEAR = {
-    "lift": """\
-function z = {name}_lift(x)
-{notes}
-% z = {name}_lift(x): lifts states in physical units, one point per column; {name}_step continues from z.
-{vectors}
-{load}    z = lift((x - model.z_offset) ./ model.z_scale);
-end
-""",
-    "step": """\
-function z_next = {name}_step(z, u)
-{notes}
-% z_next = {name}_step(z, u): liftings one sample ({dt} s) later, u in physical units and held; z from {name}_lift.
-{vectors}
-{load}    z_next = model.A * z + model.B * ((u - model.u_offset) ./ model.u_scale);
-end
-""",
-    "read": """\
-function x = {name}_read(z)
-{notes}
-% x = {name}_read(z): the (newest) states of liftings, in physical units.
-{load}    x = z(2:{after}, :) .* model.x_scale + model.x_offset;
-end
-""",
+    "lift": (
+        "z = {}(x)",
+        "lifts states in physical units, one point per column; {name}_step continues from z.",
+        "    z = lift((x - model.z_offset) ./ model.z_scale);\n",
+    ),
+    "step": (
+        "z_next = {}(z, u)",
+        "liftings one sample ({dt} s) later, u in physical units and held; z from {name}_lift.",
+        "    z_next = model.A * z + model.B * ((u - model.u_offset) ./ model.u_scale);\n",
+    ),
+    "read": (
+        "x = {}(z)",
+        "the (newest) states of liftings, in physical units.",
+        "    x = z(2:{after}, :) .* model.x_scale + model.x_offset;\n",
+    ),
 }
 
 
-def to_matlab(model, path):
-    """Write a model for MATLAB and GNU Octave: arrays to ``path``, which ends in .mat, and functions beside it.
+def to_matlab(model: KoopmanModel, path: str | Path) -> list[Path]:
+    """Write a model for MATLAB and Octave: arrays to ``path`` (.mat), functions beside it; returns the paths.
 
     ``x_next = NAME_step(x, u)`` predicts one sample in physical units, one point per column, also beyond the training
     data; NAME is the file's. With delays, x holds the newest sample, then the earlier ones, then (except with
     ``vector_field``) the earlier inputs, as the comments list. ``vector_field`` adds ``NAME_field``. With
     ``lifted_linear``, call ``z = NAME_lift(x)``, then ``z = NAME_step(z, u)``, and ``x = NAME_read(z)``.
 
-    The .mat file (version 5) holds plain arrays, structs and cells: K, A, W or B, offsets and scales, names, units, dt,
-    the hull, the dictionary.
-
-    Returns
-    -------
-    list of pathlib.Path
+    The .mat file (version 5) holds plain arrays, structs and cells: K, A, W or B, scales, names, hull, dictionary.
 
     Raises
     ------
@@ -121,14 +102,11 @@ def to_matlab(model, path):
     """
     model.require_fitted()
     path, name = file_and_name(path, ".mat")
-    notes, contents = origin(model, path, name), io.BytesIO()
+    notes = origin(model, path, name)
     functions = _functions(model, path, name, notes)  # first: it may refuse the dictionary
-    savemat(contents, _arrays(model, notes), long_field_names=True, oned_as="column")
-    whole = contents.getvalue()
-    # SciPy writes the time into the first 116 bytes, which are free text.
-    head = f"MATLAB 5.0 MAT-file, tras {tras.__version__}".encode().ljust(116)
+    title = f"MATLAB 5.0 MAT-file, tras {tras.__version__}"
     with replacing(path) as temporary:
-        temporary.write_bytes(head + whole[116:])
+        save(_arrays(model, notes), title, temporary, long_field_names=True, oned_as="column")
     for file, lines in functions.items():
         with replacing(file) as temporary:
             temporary.write_text(lines, encoding="utf-8", newline="\n")
@@ -137,50 +115,33 @@ def to_matlab(model, path):
 
 def _arrays(model, notes):
     """What the .mat file holds, vectors as columns."""
-    linear = model.predictor == "lifted_linear"
     values = {
-        "origin": _cells(notes), "predictor": model.predictor, "dt": float(model.dt_), "delays": float(model.delays),
-        "K": model.koopman_matrix, "x_offset": model.x_offset_, "x_scale": model.x_scale_, "z_scale": model.channels_.z_scale,
-        "z_offset": model.channels_.z_offset, "u_offset": model.u_offset_[:, None], "u_scale": model.u_scale_[:, None],
-        "functions": _cells(model.names_), "dictionary": _described(model.dictionary_),
+        "origin": cell(notes), "predictor": model.predictor, "dt": float(model.dt_), "delays": float(model.delays),
+        "K": model.koopman_matrix, "x_offset": model.x_offset_, "x_scale": model.x_scale_,
+        "z_scale": model.channels_.z_scale, "z_offset": model.channels_.z_offset, "u_offset": model.u_offset_[:, None],
+        "u_scale": model.u_scale_[:, None], "functions": cell(model.names_), "dictionary": _struct(model.dictionary_),
     }  # fmt: skip
     for role in ("state", "input"):
-        values |= {f"{role}_{kind}": _cells(getattr(model, f"{role}_{kind}_")) for kind in ("names", "units")}
-    values["x_names"] = _cells(model.channels_.z_names)
-    if linear:
+        values |= {f"{role}_{kind}": cell(getattr(model, f"{role}_{kind}_")) for kind in ("names", "units")}
+    values["x_names"] = cell(model.channels_.z_names)
+    if model.predictor == "lifted_linear":
         return values | {"A": model.koopman_matrix.T, "B": model.B_}
-    matrix, _, hull, outward = map_of(model)
-    values["map"] = matrix
-    if hull is not None:
-        values["hull"] = {
-            "centre": hull.centre,
-            "axes": hull.axes,
-            "low": hull.lower,
-            "high": hull.upper,
-            "outward": outward,
-        }
+    values["map"], hull = map_of(model)
+    values |= {"hull": hull} if hull else {}
     if model.predictor == "vector_field":
         values |= {"A": model.generator, "W": model.W_, "substeps": float(model.substeps_)}
     return values
 
 
-def _cells(words):
-    cells = np.empty((len(words), 1), dtype=object)
-    cells[:, 0] = [str(word) for word in words]
-    return cells
-
-
-def _described(dictionary):
+def _struct(dictionary):
     """A dictionary as a struct: its name, those parameters that are numbers or words, and what it learnt."""
     struct = {"name": type(dictionary).__name__}
     for key, value in dictionary.get_params(deep=False).items():
         if isinstance(value, (bool, int, float, str, np.number)):
-            struct[key] = float(value) if not isinstance(value, str) else value
+            struct[key] = value if isinstance(value, str) else float(value)
     for key, value in vars(dictionary).items():
         if key == "parts_":
-            parts = np.empty((len(value), 1), dtype=object)
-            parts[:, 0] = [_described(part) for part in value]
-            struct["parts"] = parts
+            struct["parts"] = cell([_struct(part) for part in value])
         elif key == "kept_":
             struct["kept"] = value + 1.0  # MATLAB counts from 1
         elif key.endswith("_") and isinstance(value, (np.ndarray, float, int)):
@@ -190,35 +151,31 @@ def _described(dictionary):
 
 def _functions(model, path, name, notes):
     """The .m files: path -> text."""
-    n, d, comments = len(model.state_names_), model.delays, _comments(notes)
-    words = {"name": name, "notes": comments, "dt": repr(model.dt_), "n": n, "after": n + 1, "vectors": _vectors(model)}
-    words["load"] = _LOAD.format(file=path.name.replace("'", "''"))
+    n, m, d = len(model.state_names_), len(model.input_names_), model.delays
     lines = symbols.code(symbols.functions(model.dictionary_), symbols.MATLAB)
-    lift = _LIFT.format(N=len(model.names_), lines="\n".join(f"    {line}" for line in lines))
-    at = lambda which: path.with_name(f"{name}_{which}.m")  # noqa: E731
-    if model.predictor == "lifted_linear":
-        files = {at(which): template.format(**words) for which, template in _LINEAR.items()}
-        return {**files, at("lift"): files[at("lift")] + lift}
-    map_ = _MAP.format(body=_HULL if model.hull_ is not None else "    result = model.map * lift(z);\n")
-    field = model.predictor == "vector_field"
-    body = _RUNGE_KUTTA.format(**words) if field else _ONE_STEP
-    history = [f"x(1:{n * d}, :)"] * (d > 0) + ["u"] * model.channels_.delayed_inputs
-    if model.channels_.delayed_inputs and d > 1:
-        past = n * (d + 1)
-        history.append(f"x({past + 1}:{past + (d - 1) * len(model.input_names_)}, :)")
-    body += f"    x_next = [{'; '.join(['now', *history])}];\n" if history else "    x_next = now;\n"
-    step = _STEP.format(body=body, **words)
-    if field:
-        return {at("field"): _FIELD.format(**words) + map_ + lift, at("step"): step}
-    return {at("step"): step + map_ + lift}
-
-
-def _vectors(model):
-    """Comments on what the vectors hold."""
-    lines = [f"x({i + 1}): {channel}" for i, channel in enumerate(state_vector(model))]
-    inputs = [f"u({i + 1}): {channel}" for i, channel in enumerate(input_vector(model))]
-    return _comments(lines + (inputs or ["u: no inputs; zeros(0, columns of x)"]))
-
-
-def _comments(lines):
-    return "\n".join(f"% {' '.join(line.split())}" for line in lines)
+    subfunctions = _LIFT.format(N=len(model.names_), lines="\n".join(f"    {line}" for line in lines))
+    functions = _LINEAR
+    if model.predictor != "lifted_linear":
+        body = "    result = model.map * lift(z);\n" if model.hull_ is None else _HULL
+        subfunctions = _MAP.format(body=body) + subfunctions
+        history = [f"x(1:{n * d}, :)"] * (d > 0) + ["u"] * model.channels_.delayed_inputs
+        if model.channels_.delayed_inputs and d > 1:
+            history.append(f"x({n * (d + 1) + 1}:{n * (d + 1) + (d - 1) * m}, :)")
+        x_next = f"[{'; '.join(['now', *history])}]" if history else "now"
+        is_field = model.predictor == "vector_field"
+        body = (_RUNGE_KUTTA if is_field else _ONE_STEP) + f"    x_next = {x_next};\n"
+        functions = ({"field": _FIELD} if is_field else {}) | {"step": ("x_next = {}(x, u)", _STEP, body)}
+    x, u = vectors(model)
+    entries = [f"x({i + 1}): {channel}" for i, channel in enumerate(x)]
+    entries += [f"u({i + 1}): {channel}" for i, channel in enumerate(u)]
+    entries += ["u: no inputs; zeros(0, columns of x)"] * (m == 0)
+    words = {"name": name, "dt": repr(model.dt_), "n": n, "after": n + 1}
+    load, files = _LOAD.format(file=path.name.replace("'", "''")), {}
+    for which, (signature, what, body) in functions.items():
+        signature = signature.format(f"{name}_{which}")
+        lines = [*notes, f"{signature}: {what.format(**words)}", *(entries if which != "read" else ())]
+        comments = "\n".join(f"% {' '.join(line.split())}" for line in lines)
+        text = f"function {signature}\n{comments}\n{load}{body.format(**words)}end\n"
+        files[path.with_name(f"{name}_{which}.m")] = text
+    first = next(iter(files))
+    return {**files, first: files[first] + subfunctions}

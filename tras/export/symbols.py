@@ -1,9 +1,7 @@
 """A dictionary's functions as expressions, and as code in C and MATLAB.
 
-`Dictionary.lift` is arithmetic on arrays, and NumPy computes with arrays of any objects. Given symbols in place of
-numbers it returns expressions. So ``_fill`` describes a dictionary once; C, MATLAB and printed formulas follow from it.
-
-SymPy could replace this module, with the same values to 1e-15, but takes 100 times as long (docs/export.md).
+`Dictionary.lift` is arithmetic on arrays; with symbols in place of numbers it returns expressions. So ``_fill``
+describes a dictionary once for all languages. SymPy would take 100 times as long (docs/export.md).
 """
 
 from typing import NamedTuple
@@ -52,19 +50,11 @@ class Symbol:
         raise TypeError("a symbol is neither true nor false")
 
 
-def _operator(kind):
-    return lambda self, other: self._with(kind, self, other), lambda self, other: self._with(kind, other, self)
-
-
-def _function(name):
-    return lambda self: self._of(name, self)
-
-
 for _kind, _name in (("+", "add"), ("-", "sub"), ("*", "mul"), ("/", "truediv")):
-    for _prefix, _method in zip(("__", "__r"), _operator(_kind)):
-        setattr(Symbol, f"{_prefix}{_name}__", _method)
+    setattr(Symbol, f"__{_name}__", lambda self, other, kind=_kind: self._with(kind, self, other))
+    setattr(Symbol, f"__r{_name}__", lambda self, other, kind=_kind: self._with(kind, other, self))
 for _name in FUNCTIONS:  # NumPy calls an object's method of the same name
-    setattr(Symbol, _name, _function(_name))
+    setattr(Symbol, _name, lambda self, name=_name: self._of(name, self))
 
 
 def _simpler(kind, a, b):
@@ -185,19 +175,18 @@ def code(nodes, language):
     """Statements that compute all ``nodes``, each common part once: list of str."""
     order, uses = ordered(nodes)
     functions = [language.function.format(k + language.first) for k in range(len(nodes))]
-    results = {node: name for node, name in reversed(list(zip(nodes, functions)))}  # the first of equal nodes
+    results = dict(zip(nodes[::-1], functions[::-1]))  # the first of equal nodes
     names, lines, temporaries = {}, [], 0
     for node in order:
         leaf = node.kind in ("number", "z")
-        if node in results:
-            name = results[node]
-            lines.append(f"{name} = {text(node, language, names)};")
-        elif uses[node] > 1 and not leaf:
-            temporaries += 1
-            name = f"t{temporaries}"
-            lines.append(f"{language.declaration}{name} = {text(node, language, names)};")
-        else:
+        if node not in results and (leaf or uses[node] == 1):
             continue
+        if node in results:
+            name, declaration = results[node], ""
+        else:
+            temporaries += 1
+            name, declaration = f"t{temporaries}", language.declaration
+        lines.append(f"{declaration}{name} = {text(node, language, names)};")
         if not leaf:
             names[node] = name
     return lines + [f"{f} = {results[node]};" for node, f in zip(nodes, functions) if results[node] != f]

@@ -14,7 +14,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tras.io.limits import SUFFIXES
+from tras.io.formats import FORMATS
 from tras.workflow.files import project_root
 from tras.workflow.parameters import ParameterError, check_parameters, notebook_defaults
 from tras.workflow.runner import Interrupted, RunError, interruptible, run_notebook
@@ -109,9 +109,9 @@ def _parameters(options, out, root):
         if path is not None and not path.is_file():
             fault = "is a folder" if path.is_dir() else "does not exist"
             raise ParameterError(f"{what}: {path} {fault}; give the path of a file.")
-    if options.recording.suffix not in SUFFIXES:
+    if options.recording.suffix not in FORMATS:
         fault = f"{options.recording} ends in {options.recording.suffix!r}"
-        raise ParameterError(f"RECORDING: {fault}; recordings are .csv, .parquet, .mat or .nc files.")
+        raise ParameterError(f"RECORDING: {fault}; recordings are {', '.join(FORMATS)} files.")
     if out.exists() and not out.is_dir():
         raise ParameterError(f"OUT: {out} is a file; give a folder.")
     paths = {"recording": options.recording, "out_dir": out, "roles": options.roles}

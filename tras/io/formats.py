@@ -1,4 +1,4 @@
-"""Recordings as files: .nc, .csv, .parquet, .mat. The readers execute nothing in a file and read no pickle.
+"""Recordings as files, whose readers execute nothing in them and read no pickle.
 
 Limits (`tras.io.limits`): 1e8 values, 10 000 columns, 256 MiB of text, 4 GiB of other files, structs and cells 8 deep.
 
@@ -13,83 +13,67 @@ from pathlib import Path
 
 import numpy as np
 
-from tras.io import matlab, netcdf, sampling
-from tras.io import text as delimited
-from tras.io.limits import FORMAT, SUFFIXES
-from tras.io.roles import RecordingError, assign
+from tras.io import matlab, netcdf, parquet, sampling, text
+from tras.io.limits import FORMAT, MAX_FILE
+from tras.io.roles import RecordingError, assign, mapping
 from tras.workflow.files import replacing
 
-_LABELS = ("state_names", "state_units", "input_names", "input_units")
+# Suffix -> its module: open_table(path) returns a `tras.io.limits.Source`, write_recording(recording, header, path).
+FORMATS = {".nc": netcdf, ".csv": text, ".parquet": parquet, ".mat": matlab}
 
 
 def write(recording, path, attributes):
     """See `tras.Recording.write`; ``attributes`` are the recording's, in the types of JSON."""
     path = known(path)
-    labels = {key: getattr(recording, key) for key in _LABELS}
-    header = _header(recording.dt, labels, attributes)
+    header = {"format": FORMAT, "dt": recording.dt}
+    for role in ("state", "input"):
+        header[f"{role}s"] = list(getattr(recording, f"{role}_names"))
+        header[f"{role}_units"] = list(getattr(recording, f"{role}_units"))
+    header["attributes"] = attributes
     if path.suffix != ".csv":
         header["checksum"] = checksum(header, recording)
-    if path.suffix == ".nc":
-        dataset = netcdf.to_xarray(recording, attributes).assign_attrs(checksum=header["checksum"])
-        content = dataset.to_netcdf(engine="h5netcdf")  # in memory: on a full disk HDF5 cannot close a file
-        with replacing(path) as temporary:
-            temporary.write_bytes(content)
-        return
     with replacing(path) as temporary:
-        if path.suffix == ".csv":
-            delimited.write_table(recording.to_frame(), header, temporary)
-        elif path.suffix == ".mat":
-            matlab.write_recording(recording, header, temporary)
-        else:
-            from tras.io import parquet
-
-            parquet.write_table(recording.to_frame(), header, temporary)
+        FORMATS[path.suffix].write_recording(recording, header, temporary)
 
 
-def read(path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=sampling.TOLERANCE):
+def read(path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=sampling.TOLERANCE) -> dict:
     """The arguments of the `tras.Recording` that ``path`` holds; see `tras.Recording.read`."""
     path = known(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist; `make all` makes the project's own recordings.")
-    if path.suffix == ".nc":
-        if roles is not None or dt is not None or resample is not None:
-            raise RecordingError(
-                f"{path}: a .nc file has its own roles and sampling time; leave roles, dt and resample out."
-            )
-        content, expected = netcdf.content(path)
-        header = _header(content["dt"], {key: content[key] for key in _LABELS}, content["attributes"])
-        if expected is not None and checksum(header, zip(content["states"], content["inputs"])) != expected:
-            raise RecordingError("its content does not fit its checksum")
-        return content
-    source = _open(path)
-    if source.header is not None and roles is None and dt is None:
-        return _own(source, resample, missing, tolerance)
-    if dt is not None:
-        roles = {**_mapping(roles), "dt": dt}
-    names = [name for name in source.names]
-    chosen, guessed = assign(names, roles, source.units, source.dt)
-    x, u, step, remarks = sampling.trajectories(
-        source.read(chosen), chosen, source.locate, resample=resample, missing=missing, tolerance=tolerance
+    if path.stat().st_size > MAX_FILE:
+        raise RecordingError(f"it has {path.stat().st_size} bytes; up to {MAX_FILE} are read.")
+    source = FORMATS[path.suffix].open_table(path)
+    header = _checked(source.header) if source.header is not None and roles is None and dt is None else None
+    if header:
+        roles = {**{key: header[key] for key in ("states", "inputs", "dt")}, "time": None, "trial": None}
+        if "time" in source.names:
+            roles |= {"time": "time", "trial": "trajectory"}
+    elif dt is not None:
+        roles = {**mapping(roles), "dt": dt}
+    columns, guesses = assign(source.names, roles, source.units, source.dt)
+    x, u, step, noticed = sampling.trajectories(
+        source.read(columns), columns, source.locate, resample=resample, missing=missing, tolerance=tolerance
     )
-    if guessed and "dt" not in (roles or {}):
-        guessed.append(f"the sampling time is {step:g} s")
-    return {
-        "states": x, "inputs": u, "dt": step, "state_names": chosen.states, "input_names": chosen.inputs,
-        "state_units": [chosen.units.get(name, "") for name in chosen.states],
-        "input_units": [chosen.units.get(name, "") for name in chosen.inputs],
-        "attributes": {"source": path.name, "guessed": guessed, "noticed": [*source.remarks, *remarks]},
-    }  # fmt: skip
+    content = {"states": x, "inputs": u, "dt": step, "state_names": columns.states, "input_names": columns.inputs}
+    if header:
+        if resample is None and "checksum" in header and checksum(header, zip(x, u)) != header["checksum"]:
+            raise RecordingError(
+                "its numbers do not fit its checksum: it was damaged, or changed by another program; "
+                "read it with roles if you trust it."
+            )
+        changed = resample is not None or any("missing" in remark for remark in noticed)
+        attributes = header["attributes"] | ({"noticed": noticed} if changed else {})
+        units = {key: header[key] for key in ("state_units", "input_units")}
+        return {**content, **units, "attributes": attributes}
+    if guesses and "dt" not in (roles or {}):
+        guesses.append(f"the sampling time is {step:g} s")
+    units = [[columns.units.get(name, "") for name in names] for names in (columns.states, columns.inputs)]
+    attributes = {"source": path.name, "guessed": guesses, "noticed": [*source.remarks, *noticed]}
+    return {**content, "state_units": units[0], "input_units": units[1], "attributes": attributes}
 
 
-def _open(path):
-    if path.suffix == ".parquet":
-        from tras.io import parquet  # pyarrow takes a while
-
-        return parquet.open_table(path)
-    return (delimited if path.suffix == ".csv" else matlab).open_table(path)
-
-
-def remarks(recording):
+def remarks(recording) -> list[str]:
     """Sentences on what the reader of a file guessed and noticed, or [].
 
     Examples
@@ -99,18 +83,14 @@ def remarks(recording):
     >>> print(*remarks(r))
     Guessed: time is column t.
     """
-    said = []
-    for key, word in (("guessed", "Guessed"), ("noticed", "Noticed")):
-        sentences = recording.attributes.get(key, [])
-        said += [f"{word}: {sentence}." for sentence in sentences] if isinstance(sentences, list) else []
-    return said
+    lists = {key: recording.attributes.get(key) for key in ("guessed", "noticed")}
+    return [f"{key.title()}: {remark}." for key, value in lists.items() if isinstance(value, list) for remark in value]
 
 
-def checksum(header, trajectories):
+def checksum(header: dict, trajectories) -> str:
     """SHA-256 of the header (without its own checksum) and all numbers."""
-    total = hashlib.sha256(
-        json.dumps({key: value for key, value in header.items() if key != "checksum"}, sort_keys=True).encode()
-    )
+    labels = {key: value for key, value in header.items() if key != "checksum"}
+    total = hashlib.sha256(json.dumps(labels, sort_keys=True).encode())
     for x, u in trajectories:
         for array in (x, u):
             total.update(repr(array.shape).encode())
@@ -118,73 +98,21 @@ def checksum(header, trajectories):
     return total.hexdigest()
 
 
-def known(path):
+def known(path: str | Path) -> Path:
     """``path`` if its suffix is one of ours."""
     path = Path(path)
-    if path.suffix not in SUFFIXES:
-        raise RecordingError(
-            f"path {path} ends in {path.suffix!r}; recordings are NetCDF-4 (.nc), .csv, .parquet or MATLAB's .mat files."
-        )
+    if path.suffix not in FORMATS:
+        raise RecordingError(f"path {path} ends in {path.suffix!r}; recordings are files of {', '.join(FORMATS)}.")
     return path
 
 
-def _mapping(roles):
-    """Roles as a dict, to which another can be added."""
-    from tras.io.roles import _read
-
-    return _read(roles)
-
-
-def _header(dt, labels, attributes):
-    return {
-        "format": FORMAT, "dt": dt, "states": list(labels["state_names"]), "state_units": list(labels["state_units"]),
-        "inputs": list(labels["input_names"]), "input_units": list(labels["input_units"]), "attributes": attributes,
-    }  # fmt: skip
-
-
 def _checked(header):
-    """The header of `_header`, or an error: another program may have changed it."""
+    """The header that `write` wrote, or an error: another program may have changed it."""
     if header.get("format") != FORMAT:
         raise RecordingError(f"its format is {str(header.get('format'))[:40]!r}, this release reads {FORMAT!r}.")
-    texts = ("states", "state_units", "inputs", "input_units")
-    sound = all(
-        isinstance(header.get(key), list) and all(isinstance(text, str) for text in header[key]) for key in texts
-    )
-    sound = (
-        sound
-        and isinstance(header.get("dt"), float)
-        and 0 < header["dt"] < math.inf
-        and isinstance(header.get("attributes"), dict)
-    )
-    if not sound:
+    labels = [header.get(key) for key in ("states", "state_units", "inputs", "input_units")]
+    dt, attributes = header.get("dt"), header.get("attributes")
+    sound = all(isinstance(label, list) and all(isinstance(entry, str) for entry in label) for label in labels)
+    if not (sound and isinstance(dt, float) and 0 < dt < math.inf and isinstance(attributes, dict)):
         raise RecordingError("its own description of channels and sampling time is damaged; read it with roles.")
     return header
-
-
-def _own(source, resample, missing, tolerance):
-    """The content of a file of `write`."""
-    header = _checked(source.header)
-    given = {"states": header["states"], "inputs": header["inputs"], "dt": header["dt"], "time": None, "trial": None}
-    if "time" in source.names:
-        given |= {"time": "time", "trial": "trajectory"}
-    chosen, _ = assign(source.names, given, {})
-    x, u, dt, remarks = sampling.trajectories(
-        source.read(chosen), chosen, source.locate, resample=resample, missing=missing, tolerance=tolerance
-    )
-    attributes = dict(header["attributes"])
-    if resample is None and "checksum" in header and checksum(header, zip(x, u)) != header["checksum"]:
-        raise RecordingError(
-            "its numbers do not fit its checksum: it was damaged, or changed by another program; read it with roles if you trust it."
-        )
-    if resample is not None or any("missing" in remark for remark in remarks):
-        attributes["noticed"] = remarks
-    labels = {key: header[key] for key in ("state_units", "input_units")}
-    return {
-        "states": x,
-        "inputs": u,
-        "dt": dt,
-        "state_names": header["states"],
-        "input_names": header["inputs"],
-        **labels,
-        "attributes": attributes,
-    }

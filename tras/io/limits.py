@@ -1,13 +1,14 @@
-"""What the readers of files share: which files are read, how a file of columns is handed on, limits of size."""
+"""What the readers of files share: how a file of columns is handed on, and limits of size."""
 
 import mmap
 import struct
-from typing import Callable, NamedTuple
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
 
 from tras.io.roles import RecordingError
 
 FORMAT = "tras recording 2"  # what a file of ours says that it is
-SUFFIXES = (".nc", ".csv", ".parquet", ".mat")
 MAX_VALUES = 10**8  # numbers of a recording: 800 MB
 MAX_COLUMNS = 10_000
 MAX_TEXT = 2**28  # bytes of a text file
@@ -35,12 +36,12 @@ class Source(NamedTuple):
     remarks: list = []
 
 
-def one_line(error):
+def one_line(error: Exception) -> str:
     """The message of a library's error in one line."""
     return " ".join(str(error).strip("'").split()) or type(error).__name__
 
 
-def check_size(rows, columns):
+def check_size(rows: int, columns: int) -> None:
     """Refuse a table before memory is allocated for it."""
     if columns > MAX_COLUMNS:
         raise RecordingError(f"it has {columns} columns; up to {MAX_COLUMNS} are read.")
@@ -50,16 +51,11 @@ def check_size(rows, columns):
         )
 
 
-def check_heaps(path):
-    """Walk the global heaps of an HDF5 file (texts of variable length, references); every entry must lead to the next.
+def check_heaps(path: Path) -> None:
+    """Refuse an HDF5 file with a global heap (texts, references) of which an entry does not lead to the next.
 
     An entry of index 0 and size 0 sends HDF5 (2.0 and earlier) into an endless loop that no signal interrupts, so the
     file is checked before the library opens it. Layout: "HDF5 File Format Specification", III.E.
-
-    Raises
-    ------
-    RecordingError
-        Where an entry does not lead to the next one.
     """
     with open(path, "rb") as file:
         if not file.seek(0, 2):

@@ -18,17 +18,12 @@ _TEXTS = {1: "ascii", 2: "ascii", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "u
 _MATRIX, _COMPRESSED = 14, 15
 _CELL, _STRUCT, _CHAR = 1, 2, 4
 _OPAQUE = "an object (class instance, timeseries, table or string)"
+_NOT_WHOLE = "it ends in the middle of a variable; the file is not whole."
 _REFUSED = {3: "an object", 5: "a sparse matrix", 16: "a function handle", 17: _OPAQUE}
 
 
-def read_variables(content):
-    """Name -> value of every variable.
-
-    Raises
-    ------
-    RecordingError
-        If the file is damaged, nested too deeply or too large, or holds sparse, complex or object data.
-    """
+def read_variables(content: bytes) -> dict:
+    """Name -> value of every variable; refuses damage, deep nesting, and sparse, complex or object data."""
     endian = {b"IM": "<", b"MI": ">"}.get(content[126:128])
     if endian is None or struct.unpack(endian + "H", content[124:126])[0] != 0x0100:
         raise RecordingError("it is no MATLAB file of version 5 to 7.3; save it with -v7 or -v7.3.")
@@ -72,7 +67,7 @@ class _Reader:
     def element(self, data, position, padded=True):
         """(kind, content, position of the next one) of the element at ``position``."""
         if position + 8 > len(data):
-            raise RecordingError("it ends in the middle of a variable; the file is not whole.")
+            raise RecordingError(_NOT_WHOLE)
         kind, size = struct.unpack_from(self.endian + "II", data, position)
         if kind >> 16:  # up to four bytes, within the tag
             kind, size, start, end = kind & 0xFFFF, kind >> 16, position + 4, position + 8
@@ -82,7 +77,7 @@ class _Reader:
             start, end = position + 8, position + 8 + size
             end += -size % 8 if padded or kind == _MATRIX else 0
         if start + size > len(data):
-            raise RecordingError("it ends in the middle of a variable; the file is not whole.")
+            raise RecordingError(_NOT_WHOLE)
         return kind, data[start : start + size], end
 
     def matrix(self, body, depth):
@@ -96,16 +91,14 @@ class _Reader:
         if kind != 6 or len(flags) != 8:
             raise RecordingError("the flags of a variable are damaged.")
         flags = struct.unpack(self.endian + "II", flags)[0]
-        number = flags & 0xFF
+        number, is_complex = flags & 0xFF, flags & 0x0800
         if number == 17:
-            raise RecordingError(
-                f"it holds {_OPAQUE}, which is not read; save its numbers, such as ts.Time and ts.Data."
-            )
+            raise RecordingError(f"it holds {_OPAQUE}; save its numbers, such as ts.Time and ts.Data.")
         dims, position = self.numbers(body, position)
         name, position = self.text(body, position)
-        if number in _REFUSED or flags & 0x0800:
-            what = "complex numbers" if flags & 0x0800 and number not in _REFUSED else _REFUSED[number]
-            advice = "full(...)" if number == 5 else "real and imaginary part" if flags & 0x0800 else "its numbers"
+        if number in _REFUSED or is_complex:
+            what = _REFUSED.get(number, "complex numbers")
+            advice = "full(...)" if number == 5 else "real and imaginary part" if is_complex else "its numbers"
             raise RecordingError(f"variable {name!r} holds {what}, which is not read; save {advice}.")
         dims = [int(d) for d in dims]
         if len(dims) < 2 or any(d < 0 for d in dims):
@@ -114,7 +107,7 @@ class _Reader:
         if number in (_CELL, _STRUCT):
             value, position = (self.cells if number == _CELL else self.structs)(body, position, count, depth)
         elif number == _CHAR:
-            value, position = self.text(body, position, count)
+            value, position = self.text(body, position)
         elif 6 <= number <= 15:
             self.values += count
             if self.values > MAX_VALUES:
@@ -136,7 +129,7 @@ class _Reader:
             raise _damage(f"there is an element of kind {kind} where numbers should be")
         return np.frombuffer(content, self.endian + dtype), position
 
-    def text(self, body, position, count=None):
+    def text(self, body, position):
         kind, content, position = self.element(body, position)
         encoding = _TEXTS.get(kind)
         if encoding is None:
@@ -165,8 +158,8 @@ class _Reader:
         length = int(length[0]) if len(length) == 1 else 0
         if kind != 1 or length < 1 or len(names) % length:
             raise RecordingError("the names of a struct's fields are damaged.")
-        names = [names[i : i + length].split(b"\0")[0] for i in range(0, len(names), length)]
-        names = [name.decode("ascii", errors="replace") for name in names]
+        names = names.decode("ascii", errors="replace")
+        names = [names[i : i + length].split("\0")[0] for i in range(0, len(names), length)]
         if count * len(names) * 8 > len(body) or (not names and count > 1):
             raise _damage(f"a struct claims {count} entries, more than there are bytes for")
         if len(set(names)) != len(names):

@@ -7,11 +7,13 @@ states2, ...``, a field of a struct inside the only struct ``motor.torque``. A p
 import collections
 import io
 import json
+from pathlib import Path
 
 import numpy as np
+from scipy.io import savemat
 
-from tras.io import matfile5, roles
-from tras.io.limits import MAX_FILE, Source, check_size
+from tras.io import matfile5, matlab73, roles
+from tras.io.limits import Source, check_size
 from tras.io.roles import RecordingError
 
 _HDF = b"\x89HDF\r\n\x1a\n"
@@ -19,24 +21,19 @@ _STEP = {"dt", "ts", "tsample", "sampling_time", "sample_time", "sampletime", "s
 _RATE = {"fs", "sampling_rate", "samplerate", "sample_rate", "samplingrate"}
 
 
-def open_table(path):
+def open_table(path: Path) -> Source:
     """The `Source` of a .mat file of version 5 to 7.3."""
-    if path.stat().st_size > MAX_FILE:
-        raise RecordingError(f"it has {path.stat().st_size} bytes; up to {MAX_FILE} are read.")
     with open(path, "rb") as file:
         start = file.read(520)
     if start.startswith(_HDF) or start[512:520] == _HDF:
-        from tras.io import matlab73 as matfile73
-
-        variables = matfile73.read_variables(path)
+        variables = matlab73.read_variables(path)
     else:
         variables = matfile5.read_variables(path.read_bytes())
-    if str(variables.get("header", "")).startswith('{"format": "tras'):
-        return _source_of_recording(variables)
-    return source(variables)
+    is_ours = str(variables.get("header", "")).startswith('{"format": "tras')
+    return (_source_of_recording if is_ours else _source)(variables)
 
 
-def source(variables):
+def _source(variables):
     """The `Source` of variables: name -> array, text, list (cells) or dict (struct)."""
     trials, steps = _trials(variables)
     tables, odd = zip(*[_columns(trial) for trial in trials]) if trials else ((), ())
@@ -59,27 +56,29 @@ def _locate(trial, row):
     return f"trial {trial + 1}, row {row + 1}"
 
 
-def write_recording(recording, header, path):
+def write_recording(recording, header: dict, path: Path) -> None:
     """Write states and inputs as cells (one matrix per trajectory), ``dt``, names, units, and the header as text."""
-    from scipy.io import savemat
-
     content = {"header": json.dumps(header), "dt": recording.dt}
     for key in ("state_names", "state_units", "input_names", "input_units"):
-        content[key] = _cell(getattr(recording, key))
+        content[key] = cell(getattr(recording, key))
     # The data come last, so that a file that was cut off lacks them.
-    content["inputs"], content["states"] = (_cell(arrays) for arrays in zip(*((u, x) for x, u in recording)))
+    content["inputs"], content["states"] = (cell(arrays) for arrays in zip(*((u, x) for x, u in recording)))
+    save(content, "MATLAB 5.0 MAT-file, written by tras", path, do_compression=True)
+
+
+def save(variables: dict, title: str, path: Path, **options) -> None:
+    """Write variables with ``title`` in place of SciPy's, which states the time; ``options`` of `scipy.io.savemat`."""
     memory = io.BytesIO()
-    savemat(memory, content, do_compression=True)
-    title = b"MATLAB 5.0 MAT-file, written by tras".ljust(116)  # in place of SciPy's, with its time of writing
-    path.write_bytes(title + memory.getvalue()[116:])
+    savemat(memory, variables, **options)
+    path.write_bytes(title.encode().ljust(116) + memory.getvalue()[116:])
 
 
-def _cell(values):
-    values = list(values)
-    cell = np.empty((len(values), 1), dtype=object)
+def cell(values) -> np.ndarray:
+    """A cell array, (values, 1), for `save`."""
+    array = np.empty((len(values), 1), dtype=object)
     for i, value in enumerate(values):
-        cell[i, 0] = value
-    return cell
+        array[i, 0] = value
+    return array
 
 
 def _source_of_recording(variables):
@@ -93,7 +92,7 @@ def _source_of_recording(variables):
         raise RecordingError(
             f"its header does not fit its content ({error}); delete the variable 'header' to read it as any other file."
         ) from error
-    return Source(names, {}, lambda _: tables, _locate, header=header)
+    return Source(names, {}, lambda _: tables, _locate, header, dt=_only_step(_steps(variables)))
 
 
 def _trials(variables):

@@ -1,5 +1,7 @@
 """MATLAB's files of version 7.3 (HDF5): their variables as arrays, texts, lists (cells) and dicts (structs)."""
 
+from pathlib import Path
+
 import h5py
 import numpy as np
 
@@ -7,13 +9,12 @@ from tras.io.limits import MAX_DEPTH, MAX_PARTS, MAX_VALUES, TOO_NESTED, check_h
 from tras.io.roles import RecordingError
 
 _NUMERIC = ("double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "logical")
+# What HDF5 raises where a file is damaged.
+_DAMAGE = (OSError, KeyError, RuntimeError, TypeError, ValueError, AttributeError, OverflowError, MemoryError)
 
 
-def read_variables(path):
-    """Name -> value of every variable, like `tras.io.matfile5.read_variables`.
-
-    Links to other files and data stored in other files are refused.
-    """
+def read_variables(path: Path) -> dict:
+    """Name -> value of every variable; refuses what `tras.io.matfile5` does, and links and data in other files."""
     check_heaps(path)
     budget = {"parts": 0, "values": 0}
     try:
@@ -21,17 +22,7 @@ def read_variables(path):
             return {name: _value(_member(file, name), name, 0, budget) for name in file if not name.startswith("#")}
     except RecordingError:
         raise
-    # HDF5 reports damage by all of these.
-    except (
-        OSError,
-        KeyError,
-        RuntimeError,
-        TypeError,
-        ValueError,
-        AttributeError,
-        OverflowError,
-        MemoryError,
-    ) as error:
+    except _DAMAGE as error:
         raise RecordingError(f"it is damaged ({one_line(error)}).") from error
 
 
@@ -73,9 +64,7 @@ def _is_array_of_structs(item):
 
 def _dataset(item, kind, name, depth, budget):
     if item.is_virtual or item.external:
-        raise RecordingError(
-            f"the numbers of {name!r} lie in another file, which is not opened; save them in this one."
-        )
+        raise RecordingError(f"the numbers of {name!r} lie in another file; save them in this one.")
     if item.attrs.get("MATLAB_empty", 0):
         return [] if kind == "cell" else "" if kind == "char" else np.empty((0, 0))
     if h5py.check_ref_dtype(item.dtype):
@@ -83,9 +72,7 @@ def _dataset(item, kind, name, depth, budget):
     if item.dtype.names:
         raise RecordingError(f"variable {name!r} holds complex or compound numbers; save real and imaginary part.")
     if item.dtype.kind not in "biuf" or (kind and kind not in (*_NUMERIC, "char")):
-        raise RecordingError(
-            f"variable {name!r} is of class {kind or item.dtype}, which is not read; save its numbers."
-        )
+        raise RecordingError(f"variable {name!r} is of class {kind or item.dtype}; save its numbers.")
     budget["values"] += item.size
     if budget["values"] > MAX_VALUES:
         raise RecordingError(f"it has more than {MAX_VALUES} values.")

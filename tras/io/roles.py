@@ -37,7 +37,7 @@ class Roles(NamedTuple):
     units: dict
 
 
-def assign(names, roles, units, dt=None):
+def assign(names: list, roles, units: dict, dt: float | None = None) -> tuple[Roles, list]:
     """The roles of the columns ``names``: as ``roles`` specifies, the others guessed.
 
     Parameters
@@ -71,7 +71,7 @@ def assign(names, roles, units, dt=None):
     >>> print("; ".join(guesses))
     time is column t; states are phi, phidot; inputs are u1; left out: comment
     """
-    spec = _read(roles)
+    spec = mapping(roles)
     if "time" not in spec and spec.get("trial") and guess_role(spec["trial"]) == "time":
         spec["time"] = spec["trial"]
     columns = _columns_with_a_role(names, spec)
@@ -105,8 +105,8 @@ def assign(names, roles, units, dt=None):
     return roles, guesses + ([f"left out: {', '.join(rest)}"] if rest and guesses else [])
 
 
-def guess_role(name):
-    """ "time", "trial", "states" or "inputs" if ``name`` says so plainly, else None.
+def guess_role(name: str) -> str | None:
+    """Return "time", "trial", "states" or "inputs" if ``name`` says so plainly, else None.
 
     Examples
     --------
@@ -127,7 +127,7 @@ def guess_role(name):
     return roles.pop() if len(roles) == 1 and not unclear else None
 
 
-def seconds(name, unit):
+def seconds(name: str, unit: str | None) -> tuple[int, int]:
     """(numerator, denominator) that convert the column of time ``name`` with ``unit`` to s.
 
     Raises
@@ -151,8 +151,8 @@ def _is_in(vocabulary, word):
     return not vocabulary.isdisjoint(roots)
 
 
-def _read(roles):
-    """The mapping of a dict or a YAML file, its keys and the types of its values checked."""
+def mapping(roles) -> dict:
+    """Roles, a dict or the path of a YAML file, as a new dict, its keys and the types of its values checked."""
     if roles is None:
         return {}
     spec = dict(roles if hasattr(roles, "items") else _yaml(Path(roles)))
@@ -165,17 +165,13 @@ def _read(roles):
             spec[key] = _list(key, value)
         elif key in ("time", "trial") and not (value is None or isinstance(value, str)):
             raise RecordingError(f"roles: {key} is {value!r}; give the name of one column.")
-        elif key == "units" and not (isinstance(value, dict) and _texts([*value, *value.values()])):
+        elif key == "units" and not (
+            isinstance(value, dict) and all(isinstance(word, str) for word in (*value, *value.values()))
+        ):
             raise RecordingError(f"roles: units is {value!r}; give name: unit for each.")
         elif key == "dt":
-            arguments.number(
-                "roles: dt",
-                value,
-                0,
-                ends=False,
-                give="the sampling time in s, a positive number",
-                error=RecordingError,
-            )
+            give = "the sampling time in s, a positive number"
+            arguments.number("roles: dt", value, 0, ends=False, give=give, error=RecordingError)
     return spec
 
 
@@ -193,13 +189,9 @@ def _yaml(path):
     return content
 
 
-def _texts(values):
-    return all(isinstance(value, str) for value in values)
-
-
 def _list(key, value):
     value = [value] if isinstance(value, str) else [] if value is None else value
-    if not isinstance(value, (list, tuple)) or not _texts(value):
+    if not isinstance(value, (list, tuple)) or not all(isinstance(name, str) for name in value):
         raise RecordingError(f"roles: {key} is {value!r}; give a list of names.")
     return list(value)
 

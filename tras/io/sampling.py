@@ -1,8 +1,11 @@
 """From columns to trajectories: trials, the sampling time, missing values, resampling when asked."""
 
+import functools
+
 import numpy as np
 
 from tras.io.roles import RecordingError, seconds
+from tras.workflow import arguments
 
 TOLERANCE = 0.01  # of the sampling time: how far a step may be from it
 
@@ -36,23 +39,24 @@ def trajectories(tables, roles, locate, *, resample=None, missing="cut", toleran
     if missing not in ("cut", "refuse"):
         raise RecordingError(f"missing is {missing!r}; give 'cut' or 'refuse'.")
     for name, value in (("resample", resample), ("tolerance", tolerance)):
-        if value is not None and not (isinstance(value, (int, float)) and 0 < value < float("inf")):
-            raise RecordingError(f"{name} is {value!r}; give a positive number.")
+        if value is not None:
+            arguments.number(name, value, 0, ends=False, give="a positive number", error=RecordingError)
+    numerator, denominator = (1, 1) if roles.time is None else seconds(roles.time, roles.units.get(roles.time))
     pieces, remarks = [], []
     for number, table in enumerate(tables):
-        for start, end in _trials(table, roles, lambda row: locate(number, row)):
+        for start, end in _trials(table, roles, functools.partial(locate, number)):
             rows = slice(start, end)
-            columns = ([table[name][rows] for name in names] for names in (roles.states, roles.inputs))
-            x, u = (_stack(each, end - start) for each in columns)
+            x = np.column_stack([table[name][rows] for name in roles.states])
+            u = np.column_stack([table[name][rows] for name in roles.inputs] or [np.empty((end - start, 0))])
             where = lambda row, number=number, start=start: locate(number, start + row)  # noqa: E731
-            pieces.append((_time(table, roles, rows), x, u, where))
+            t = None if roles.time is None else table[roles.time][rows] * numerator / denominator
+            pieces.append((t, x, u, where))
     pieces = _cut(pieces, roles, missing, remarks)
     if roles.time is None:
         if resample is not None:
             raise RecordingError("resample needs a column of time; there is none.")
         dt = float(roles.dt)
     else:
-        pieces = [(t * 1.0, *rest) for t, *rest in pieces]
         for t, _, _, where in pieces:
             _check_order(t, where, roles)
         dt = float(resample) if resample is not None else _sampling_time(pieces, roles, tolerance)
@@ -61,10 +65,6 @@ def trajectories(tables, roles, locate, *, resample=None, missing="cut", toleran
     _, states, inputs, _ = zip(*pieces)
     remarks += _constant(states, roles.states) + _constant(inputs, roles.inputs)
     return list(states), list(inputs), dt, remarks
-
-
-def _stack(columns, rows):
-    return np.column_stack(columns) if columns else np.empty((rows, 0))
 
 
 def _trials(table, roles, where):
@@ -82,23 +82,14 @@ def _trials(table, roles, where):
         if unknown.size:
             raise RecordingError(f"{where(unknown[0])}: the trial's column {roles.trial!r} is empty; fill every row.")
         starts = np.flatnonzero(label[1:] != label[:-1]) + 1
-        seen = set()
-        for start in (0, *starts):
-            if label[start] in seen:
-                raise RecordingError(
-                    f"{where(start)}: trial {label[start]} of column {roles.trial!r} begins a second time; "
-                    "sort the rows by trial and time."
-                )
-            seen.add(label[start])
+        begins = np.array([0, *starts])
+        again = np.setdiff1d(begins, begins[np.unique(label[begins], return_index=True)[1]])
+        if again.size:
+            raise RecordingError(
+                f"{where(again[0])}: trial {label[again[0]]} of column {roles.trial!r} begins a second time; "
+                "sort the rows by trial and time."
+            )
     return list(zip([0, *starts.tolist()], [*starts.tolist(), rows]))
-
-
-def _time(table, roles, rows):
-    if roles.time is None:
-        return None
-    numerator, denominator = seconds(roles.time, roles.units.get(roles.time))
-    t = table[roles.time][rows]
-    return t if numerator == denominator else t * numerator / denominator
 
 
 def _cut(pieces, roles, missing, remarks):
@@ -159,15 +150,13 @@ def _sampling_time(pieces, roles, tolerance):
     dt = float(roles.dt) if roles.dt is not None else float(np.median(steps))
     if not 0 < dt < np.inf:
         raise RecordingError(f"the median step of column {roles.time!r} is {dt} s, which is no sampling time.")
-    # Far from zero, the time stamps are rounded.
-    grain = 4 * np.spacing(max(np.abs(t).max() for t, *_ in pieces))
-    uneven = np.abs(steps - dt) > tolerance * dt + grain
+    grain = 4 * np.spacing(max(np.abs(t).max() for t, *_ in pieces))  # far from zero, the time stamps are rounded
+    limit = tolerance * dt + grain
+    uneven = np.abs(steps - dt) > limit
     if uneven.any():
-        for t, _, _, where in pieces:
-            off = np.abs(np.diff(t) - dt) > tolerance * dt + grain
-            if off.any():
-                first = where(int(np.argmax(off)) + 1)
-                break
+        first = next(
+            where(row + 1) for t, *_, where in pieces for row in np.flatnonzero(np.abs(np.diff(t) - dt) > limit)
+        )
         reference = "the given dt" if roles.dt is not None else "the median"
         raise RecordingError(
             f"time is uneven in column {roles.time!r}: {uneven.sum()} of {len(steps)} steps differ from {reference}, "

@@ -3,12 +3,14 @@
 pandas writes them. It does not read them, because it does not say on which line of the file a wrong cell stands.
 """
 
+import contextlib
 import csv
 import datetime
 import io
 import itertools
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 
@@ -21,12 +23,10 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _IN_BRACKETS = re.compile(r"(.*?\S)\s*[\[(]([^\[\]()]*)[\])]\s*")
 
 
-def open_table(path):
+def open_table(path: Path) -> Source:
     """The `Source` of a text table. Numbers are read once the roles are known, so columns of comments do no harm."""
-    if path.stat().st_size > MAX_TEXT:
-        raise RecordingError(
-            f"it has {path.stat().st_size} bytes, text is read up to {MAX_TEXT}; write .parquet instead, or cut it."
-        )
+    if (size := path.stat().st_size) > MAX_TEXT:
+        raise RecordingError(f"it has {size} bytes, text is read up to {MAX_TEXT}; write .parquet instead, or cut it.")
     text = _decode(path.read_bytes())
     header, names, separator, start = _header(text)
     rows, lines = _rows(text, separator, start)
@@ -43,10 +43,9 @@ def open_table(path):
     columns = dict(zip(names, zip(*rows)))
 
     def read(roles):
-        comma = _decimal_comma(
-            [columns[name] for name in (*roles.states, *roles.inputs, roles.time) if name is not None], separator
-        )
-        table = {name: _numbers(name, columns[name], lines, comma) for name in (*roles.states, *roles.inputs)}
+        channels = [*roles.states, *roles.inputs]
+        comma = _decimal_comma([columns[name] for name in (*channels, roles.time) if name is not None], separator)
+        table = {name: _numbers(name, columns[name], lines, comma) for name in channels}
         if roles.trial is not None and roles.trial != roles.time:
             table[roles.trial] = np.array([cell.strip() for cell in columns[roles.trial]])
         if roles.time is not None:
@@ -56,32 +55,27 @@ def open_table(path):
     return Source(names, units, read, lambda _, row: f"line {lines[row]}", header)
 
 
-def write_table(frame, header, path):
-    """Write a pandas table as CSV that reads back to the last bit, below ``header`` (a dict) in a comment."""
+def write_recording(recording, header: dict, path: Path) -> None:
+    """Write a recording as CSV that reads back to the last bit, below ``header`` (a dict) in a comment."""
     with open(path, "w", encoding="utf-8", newline="") as file:
         file.write(f"{_MARK}{json.dumps(header)}\n")
-        frame.to_csv(file, index=False, lineterminator="\n")  # as many digits as it takes
+        recording.to_frame().to_csv(file, index=False, lineterminator="\n")  # as many digits as it takes
 
 
 def _decode(content):
     """The text without the byte order mark that Excel writes."""
-    for mark, encoding in ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16")):
-        if content.startswith(mark):
-            break
-    else:
-        encoding = "utf-8"
+    marks = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+    encoding = next((encoding for mark, encoding in marks.items() if content.startswith(mark)), "utf-8")
     try:
         text = content.decode(encoding)
     except UnicodeDecodeError as error:
         if encoding != "utf-8" or b"\0" in content:
-            raise RecordingError(
-                f"it is no text (byte {error.start} is not {encoding}); export it as CSV, UTF-8."
-            ) from error
+            why = f"byte {error.start} is not {encoding}"
+            raise RecordingError(f"it is no text ({why}); export it as CSV, UTF-8.") from error
         text = content.decode("cp1252", errors="replace")  # spreadsheets in western Europe: a degree sign, a Greek mu
     if "\0" in text:
-        raise RecordingError(
-            f"it is no text: there is a zero byte near line {text.count(chr(10), 0, text.index(chr(0))) + 1}; export it as CSV."
-        )
+        line = text.count("\n", 0, text.index("\0")) + 1
+        raise RecordingError(f"it is no text: there is a zero byte near line {line}; export it as CSV.")
     return text
 
 
@@ -93,10 +87,10 @@ def _header(text):
             header = json.loads(first.removeprefix(_MARK))
         except (ValueError, RecursionError) as error:
             raise RecordingError(
-                f"line 1: its JSON is damaged ({error}); delete the line to read the table as any other."
+                f"line 1: its JSON is damaged ({error}); delete the line to read the table."
             ) from error
         if not isinstance(header, dict):
-            raise RecordingError("line 1: its JSON is no mapping; delete the line to read the table as any other.")
+            raise RecordingError("line 1: its JSON is no mapping; delete the line to read the table.")
         return header, [], ",", 1
     lines = text.split("\n", 400)[:400]
     comment, start = "", 0
@@ -108,15 +102,14 @@ def _header(text):
     if start == len(lines):
         raise RecordingError("it has no rows.")
     separator = _separator([line for line in lines[start : start + 50] if line.strip()])
-    shown = _cells(lines[start], separator)
-    if shown and all(_is_number(cell) for cell in shown):  # numpy.savetxt puts the names into a comment
-        names = [cell.strip() for cell in (_cells(comment, separator) if separator else comment.split())]
-        if len(names) != len(shown):
+    cells, names = _cells(lines[start], separator), []
+    if cells and all(map(_is_number, cells)):  # numpy.savetxt puts the names into a comment
+        names = [cell.strip() for cell in _cells(comment, separator)]
+        if len(names) != len(cells):
             raise RecordingError(
-                f"line {start + 1}: there are numbers but no names above them; write a line with the {len(shown)} names of the columns."
+                f"line {start + 1}: there are numbers but no names above them; write a line of {len(cells)} names."
             )
-        return None, names, separator, start
-    return None, [], separator, start
+    return None, names, separator, start
 
 
 def _separator(lines):
@@ -125,8 +118,8 @@ def _separator(lines):
         counts = {len(_cells(line, candidate)) for line in lines}
         if len(counts) == 1 and counts.pop() > 1:
             return candidate
-    known = max((";", "\t", ",", "|"), key=lines[0].count)
-    return known if known in lines[0] else ","
+    most = max((";", "\t", ",", "|"), key=lines[0].count)
+    return most if most in lines[0] else ","
 
 
 def _cells(line, separator):
@@ -142,20 +135,16 @@ def _rows(text, separator, start):
     """Rows that are neither blank nor comments, and the line on which each one ends."""
     lines = itertools.islice(io.StringIO(text, newline=""), start, None)
     rows, numbers = [], []
-    reader = (
-        csv.reader(lines, delimiter=" ", skipinitialspace=True)
-        if separator is None
-        else csv.reader(lines, delimiter=separator, strict=True)
-    )
+    style = {"delimiter": separator, "strict": True} if separator else {"delimiter": " ", "skipinitialspace": True}
+    reader = csv.reader(lines, **style)
     try:
         for row in reader:
             if any(row) and not (row[0].lstrip()[:1] in ("#", "%") and rows):
                 rows.append([cell for cell in row if cell] if separator is None else row)
                 numbers.append(start + reader.line_num)
     except csv.Error as error:
-        raise RecordingError(
-            f"line {start + reader.line_num}: {error}; look for a quotation mark that is not closed, or a line without end."
-        ) from error
+        cure = "look for a quotation mark that is not closed, or a line without end"
+        raise RecordingError(f"line {start + reader.line_num}: {error}; {cure}.") from error
     return rows, numbers
 
 
@@ -166,12 +155,9 @@ def _even(rows, lines, names, separator):
         if len(row) > width and not any(cell.strip() for cell in row[width:]):
             row = row[:width]
         if len(row) != width:
-            doubled = separator == "," and len(row) >= 2 * width - 1
-            advice = (
-                "is the comma the decimal sign too? Export with ';' between cells"
-                if doubled
-                else "repair the line, or see whether the file is whole"
-            )
+            advice = "repair the line, or see whether the file is whole"
+            if separator == "," and len(row) >= 2 * width - 1:
+                advice = "is the comma the decimal sign too? Export with ';' between cells"
             raise RecordingError(f"line {line}: it has {len(row)} cells but the header has {width}; {advice}.")
         even.append(row)
     return even, lines
@@ -180,24 +166,23 @@ def _even(rows, lines, names, separator):
 def _names_and_units(cells, rows, lines):
     """Names, and units from brackets after them or from a separate row below them."""
     names, units = [], {}
-    matches = [_IN_BRACKETS.fullmatch(cell.strip()) for cell in cells]
+    cells = [cell.strip() for cell in cells]
+    matches = [_IN_BRACKETS.fullmatch(cell) for cell in cells]
     bare = [
-        match[1].strip() if match and not match[2].strip().isdigit() else cell.strip()
-        for cell, match in zip(cells, matches)
+        match[1].strip() if match and not match[2].strip().isdigit() else cell for cell, match in zip(cells, matches)
     ]
     for i, (cell, name, match) in enumerate(zip(cells, bare, matches)):
         if bare.count(name) > 1:
-            name = cell.strip()
-        elif name != cell.strip():
+            name = cell
+        elif name != cell:
             units[name] = match[2].strip()
         names.append(name or f"column {i + 1}")
     for name in names:
         if names.count(name) > 1:
             raise RecordingError(f"the header has the name {name!r} twice; rename one.")
     below = [cell.strip() for cell in rows[0]] if len(rows) > 1 else []
-    if any(below) and not any(
-        _is_number(cell) or _is_date(cell) or cell.lower() in _MISSING - {"", "-", "--"} for cell in below
-    ):
+    missing = _MISSING - {"", "-", "--"}
+    if any(below) and not any(_is_number(cell) or _is_date(cell) or cell.lower() in missing for cell in below):
         if sum(map(_is_number, map(str.strip, rows[1]))) * 2 >= len(names):  # else it is a table of text
             units |= {name: cell.strip("[]() ") for name, cell in zip(names, below) if cell.strip("[]() -")}
             del rows[0], lines[0]
@@ -230,10 +215,8 @@ def _decimal_comma(columns, separator):
 def _numbers(name, cells, lines, comma):
     joined = "".join(cells)
     if not comma and "_" not in joined and joined.isascii():  # float() reads 1_000 and digits of all scripts
-        try:
+        with contextlib.suppress(ValueError):
             return np.array(list(map(float, cells)))
-        except ValueError:
-            pass
     return np.array([_cell(name, cell.strip(), line, comma) for cell, line in zip(cells, lines)])
 
 
@@ -245,10 +228,9 @@ def _cell(name, cell, line, comma):
             raise ValueError
         return float(cell.replace(",", ".") if comma else cell)
     except ValueError:
-        why = " where others have a decimal comma" if comma and "." in cell else ""
-        raise RecordingError(
-            f"line {line}, column {name!r}: {cell[:40]!r} is no number{why}; repair it, leave it empty, or leave the column out by roles."
-        ) from None
+        what = "no number where others have a decimal comma" if comma and "." in cell else "no number"
+        cure = "repair it, leave it empty, or leave the column out by roles"
+        raise RecordingError(f"line {line}, column {name!r}: {cell[:40]!r} is {what}; {cure}.") from None
 
 
 def _times(name, cells, lines, comma):
@@ -259,14 +241,11 @@ def _times(name, cells, lines, comma):
     origin, times = datetime.datetime.fromisoformat(first.strip()), []
     for cell, line in zip(cells, lines):
         try:
-            missing = cell.strip().lower() in _MISSING
-            times.append(
-                np.nan
-                if missing
-                else (datetime.datetime.fromisoformat(cell.strip()) - origin) / datetime.timedelta(seconds=1)
-            )
+            if cell.strip().lower() in _MISSING:
+                times.append(np.nan)
+            else:
+                times.append((datetime.datetime.fromisoformat(cell.strip()) - origin).total_seconds())
         except (ValueError, TypeError):
-            raise RecordingError(
-                f"line {line}, column {name!r}: {cell[:40]!r} is no time as {first!r} is; repair it."
-            ) from None
+            what = f"{cell[:40]!r} is no time as {first!r} is"
+            raise RecordingError(f"line {line}, column {name!r}: {what}; repair it.") from None
     return np.array(times)
