@@ -7,12 +7,9 @@ import scipy.stats
 from conftest import visible_texts
 
 import tras
-from tras import plotting as figures
-from tras.paper import operators as operator_study
-from tras.paper import physics, robustness, validation
-from tras.paper import systems as benchmark_systems
+from tras import plotting
+from tras.paper import operators, physics, robustness, systems, validation
 from tras.paper.figures import robustness as drawn
-from tras.paper.parameter_study import parameter_study
 
 TORQUES = ["u_phi", "u_psi"]
 REACH = [0.6, 0.9, 1.2, 0.9]
@@ -40,7 +37,7 @@ def length(train):
 
 @pytest.fixture(scope="module")
 def swings():
-    recordings = [operator_study.free_swings(60, 10.0, 0.1, REACH, seed) for seed in (0, 1)]
+    recordings = [operators.free_swings(60, 10.0, 0.1, REACH, seed) for seed in (0, 1)]
     return tras.KoopmanModel(tras.Monomials(5), regularization=None).fit(recordings[0]), recordings[1]
 
 
@@ -91,7 +88,7 @@ def test_parameters_with_intervals(noise):
     cases = {
         level: (models[level, 3, method], *recordings[level, 3]) for level, method in ((0.0, "plain"), (1.0, "refined"))
     }
-    table = parameter_study(cases, 201, 6)
+    table = robustness.parameter_study(cases, 201, 6)
     assert list(table["noise"].unique()) == [0.0, 1.0] and list(table["parameter"][:8]) == list(physics.PARAMETER_NAMES)
     np.testing.assert_allclose(table["error"], 100 * (table["value"] / table["true"] - 1))
     clean, noisy = (table[table["noise"] == level] for level in (0.0, 1.0))
@@ -136,23 +133,23 @@ def test_the_study_does_not_depend_on_the_processes(train):
 @pytest.mark.slow
 def test_the_best_eigenpairs_of_free_swings_are_the_plants_own(swings):
     model, judged = swings
-    table = operator_study.residual_study({"free": model}, {"free": judged})
-    best = table[~operator_study.trivial(table) & (table["frequency"] > 0)].sort_values("relative").head(2)
+    table = operators.residual_study({"free": model}, {"free": judged})
+    best = table[~operators.trivial(table) & (table["frequency"] > 0)].sort_values("relative").head(2)
     assert not best["spurious"].any()
-    for wanted in operator_study.linearised_rates():
+    for wanted in operators.linearised_rates():
         assert np.abs(best["rate"] + 1j * best["frequency"] - wanted).min() < 0.01 * abs(wanted)
 
 
 def test_projection_errors_are_the_spectrum_modules(swings):
     model, judged = swings
-    table = operator_study.projection_study({"free": model}, {"free": judged})
+    table = operators.projection_study({"free": model}, {"free": judged})
     assert list(table["function"]) == list(model.names_) and table["projection_error"].iloc[0] == 0  # the constant
     assert table.set_index("function").loc["phi", "projection_error"] < 0.01 < table["projection_error"].max()
 
 
 @pytest.mark.slow
 def test_known_systems_come_back():
-    table = benchmark_systems.benchmark_study(20, 16, [0.0], [0]).set_index(["system", "method"])
+    table = systems.benchmark_study(20, 16, [0.0], [0]).set_index(["system", "method"])
     error = table["coefficient_error"]
     assert (
         error["slow manifold", "lifting"] < 1e-6 and table.loc[("slow manifold", "lifting"), "eigenvalue_error"] < 1e-6
@@ -162,10 +159,10 @@ def test_known_systems_come_back():
 
 def test_coefficient_error_of_a_field_that_is_off_in_one_coefficient():
     def field(x):
-        return benchmark_systems.van_der_pol(x) + 0.1 * np.stack([0 * x[..., 0], x[..., 0] ** 2 * x[..., 1]], axis=-1)
+        return systems.van_der_pol(x) + 0.1 * np.stack([0 * x[..., 0], x[..., 0] ** 2 * x[..., 1]], axis=-1)
 
     # 20 coefficients, four of which are not zero: 1, 1, -1, -1.
-    assert benchmark_systems.coefficient_error(field, "Van der Pol") == pytest.approx(100 * 0.1 / np.sqrt(20))
+    assert systems.coefficient_error(field, "Van der Pol") == pytest.approx(100 * 0.1 / np.sqrt(20))
 
 
 # ------------------------------------------------------------------------------------------------------------- figures
@@ -202,7 +199,7 @@ def case(request, length, swings):
         both = pd.concat([length, length.assign(fit="default")], ignore_index=True)
         return lambda: (drawn.length_figure(both), both)
     if request.param == "eigenfunctions":
-        table = operator_study.eigenfunction_table(*swings, [0.6, 1.2], points=21)
+        table = operators.eigenfunction_table(*swings, [0.6, 1.2], points=21)
         return lambda: (drawn.eigenfunctions_figure(table), table)
     return {"noise": noise_case, "parameters": parameters_case}[request.param]
 
@@ -221,7 +218,7 @@ def test_figures_are_legible_and_inside(case):
 
 @pytest.mark.slow
 def test_figures_repeat_byte_for_byte(case, tmp_path):
-    first, second = (figures.save_figure(*case(), tmp_path / name / "fig") for name in "ab")
+    first, second = (plotting.save_figure(*case(), tmp_path / name / "fig") for name in "ab")
     for one, two in zip(first, second):
         assert one.read_bytes() == two.read_bytes(), one.suffix
 
