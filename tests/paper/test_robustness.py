@@ -1,4 +1,4 @@
-"""The studies of 05_robustness, small: what they count is what happened, and their figures are legible and repeat byte for byte."""
+"""The studies of 05_robustness, small: they count what happened; their figures are legible and repeat byte for byte."""
 
 import numpy as np
 import pandas as pd

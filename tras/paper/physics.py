@@ -1,4 +1,4 @@
-"""Physics back from data: the eight lumped parameters of the twin rotor from an identified vector field (paper, Sec. II).
+"""Physics back from data: the eight lumped parameters of the twin rotor from an identified field (paper, Sec. II).
 
 With torques in N m the equations of motion are linear in the parameters (``J_psi = J cos^2 phi + J_psi0``):
 
@@ -38,8 +38,8 @@ def torque_balance(x: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
 def lumped_parameters(model: KoopmanModel, recording: Recording) -> pd.Series:
     """The eight lumped parameters of the plant, by least squares on the torque balance over a recording.
 
-    The identified field gives the accelerations at the recording's states and torques, and the parameters are those with
-    which they fit the torques best. The recording only says where to ask; but noise leads away from the motion on which
+    The identified field gives the accelerations at the recording's states and torques, and the parameters are those
+    that fit the torques best. The recording only says where to ask; but noise leads away from the motion on which
     the field was identified, so take the smoothed recording.
 
     Parameters
@@ -70,12 +70,12 @@ def parameter_intervals(
     """The lumped parameters with confidence intervals, by a bootstrap over trajectories.
 
     Each draw takes as many trajectories as there are, with replacement, and identifies a model and its parameters. The
-    interval lies between the (1 - level)/2 and (1 + level)/2 quantiles of the draws; the standard error is their standard
-    deviation (B. Efron and R. J. Tibshirani, *An Introduction to the Bootstrap*, 1993, Ch. 6 and 13).
+    interval lies between the (1 - level)/2 and (1 + level)/2 quantiles of the draws; the standard error is their
+    standard deviation (B. Efron and R. J. Tibshirani, *An Introduction to the Bootstrap*, 1993, Ch. 6 and 13).
 
     The interval shows how far the data scatter. It does NOT see a bias: what all draws get wrong alike, by a dictionary
-    that is too small or by noise and smoothing, stays invisible, and the truth may lie outside. 50 draws are enough for a
-    standard error; the ends of a 95 % interval want 1000. Trajectories must be many and much alike: cut the recording.
+    that is too small or by noise and smoothing, stays invisible, and the truth may lie outside. 50 draws are enough
+    for a standard error; the ends of a 95 % interval want 1000. Trajectories must be many and much alike: cut the recording.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Van der Pol, Lorenz and the slow manifold: is the vector field of a known system recovered?
 
 The Lorenz experiment is that of the lifting method's public code (GitHub ``AlexMauroy/Koopman-identification``, commit
-``ed9d808``, ``main/matlab/example_main_Lorenz.m``; A. Mauroy and J. Goncalves, IEEE Trans. Autom. Control 65, 2020, 2550):
+``ed9d808``, ``main/matlab/example_main_Lorenz.m``; A. Mauroy, J. Goncalves, IEEE Trans. Autom. Control 65, 2020, 2550):
 20 runs of 15 steps of 1/30 s from the cube of half-width 20, a dictionary of degree 3. Its error measure and its noise,
 which multiplies each measurement, serve for all three.
 """
@@ -31,7 +31,7 @@ def lorenz(x):
 
 
 def slow_manifold(x):
-    """x1' = mu x1, x2' = lambda (x2 - x1^2), mu -0.05, lambda -1 (S. L. Brunton et al., PLoS ONE 11, 2016, e0150171)."""
+    """x1' = mu x1, x2' = lambda (x2 - x1^2), mu -0.05, lambda -1 (S. Brunton et al., PLoS ONE 11, 2016, e0150171)."""
     return np.stack([SLOW * x[..., 0], FAST * (x[..., 1] - x[..., 0] ** 2)], axis=-1)
 
 
@@ -44,7 +44,7 @@ SYSTEMS = {
 
 
 def system_recording(name: str, trajectories: int, samples: int, noise: float, seed: int) -> Recording:
-    """Free motion of one of `SYSTEMS` from random states, by DOP853 at tight tolerances; noise in percent of each value."""
+    """Free motion of one of `SYSTEMS` from random states, by DOP853, tight; noise in percent of each value."""
     field, n, _, half, dt = SYSTEMS[name]
     rng = np.random.default_rng(seed)
     times = dt * np.arange(samples)
@@ -70,7 +70,7 @@ def coefficient_error(field, name: str) -> float:
 
 
 def benchmark_study(trajectories: int, samples: int, noises, seeds, *, processes: int = 1) -> pd.DataFrame:
-    """How well fields come back by extended dynamic mode decomposition with the logarithm, the lifting method, and refined.
+    """How well fields come back, by the lifting method (EDMD with the logarithm) and refined.
 
     Returns
     -------
