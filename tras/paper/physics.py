@@ -75,7 +75,7 @@ def parameter_intervals(
 
     The interval shows how far the data scatter. It does NOT see a bias: what all draws get wrong alike, by a dictionary
     that is too small or by noise and smoothing, stays invisible, and the truth may lie outside. 50 draws are enough
-    for a standard error; the ends of a 95 % interval want 1000. Trajectories must be many and much alike: cut the recording.
+    for a standard error; the ends of a 95 % interval want 1000. Trajectories must be many and alike: cut the recording.
 
     Parameters
     ----------

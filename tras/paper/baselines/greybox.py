@@ -17,7 +17,7 @@ class GreyBox(Baseline):
     """The equations of motion of `tras.twin_rotor.plant` with the parameters that make whole roll-outs fit best.
 
     The start is a linear least-squares problem: the torque balance with accelerations by central differences. The input
-    must be the torques: with the references, the controller would have to be identified as well, which is another model.
+    must be the torques: with the references the controller would have to be identified as well, another model.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class GreyBox(Baseline):
         self.n_parameters_ = len(self.parameters_)
 
     def _several(self, values):
-        """Roll-outs, in half-ranges, of one set of parameters (8,), or of k side by side (k, 8): (samples, n, [k,] batch)."""
+        """Roll-outs, in half-ranges, of one set of parameters (8,) or of k sets (k, 8): (samples, n, [k,] batch)."""
         sets, batch = np.atleast_2d(values), self._x.shape[1]
         wide = [np.repeat(column, batch) for column in sets.T]
         parameters = SimpleNamespace(**dict(zip(PARAMETER_NAMES, wide)))

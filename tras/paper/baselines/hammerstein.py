@@ -10,11 +10,11 @@ _REACH, _POINTS = 2.0, 2001  # half-ranges over which the output curves are inve
 
 
 class HammersteinWiener(Baseline):
-    """``v+ = A v + B f(u) + c, x_i = g_i(v_i)``, f and g curves of one channel (E. W. Bai, Automatica 34, 1998, p. 333).
+    """``v+ = A v + B f(u) + c, x_i = g_i(v_i)``, f and g curves of one channel each.
 
-    Each output curve is found by its inverse ``v = h(x) = x + h2 x^2 + ...``, increasing, which makes the rest linear: A,
-    B, f and c follow from h by least squares, and h by Gauss-Newton steps on what is left (variable projection), divided
-    by h' so that it counts in units of x. Written here, since no maintained Python package has it.
+    E. W. Bai, Automatica 34, 1998, p. 333. Each output curve is found by its inverse ``v = h(x) = x + h2 x^2 + ...``,
+    increasing, which makes the rest linear: A, B, f and c follow from h by least squares, and h by Gauss-Newton steps
+    on what is left (variable projection), divided by h' so that it counts in units of x. No maintained package has it.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ class _NARX(Baseline):
 
 
 def _regressors(trajectories, lags):
-    """Last states, newest first, then last inputs: (channels, points), and the change over the next sample, (n, points)."""
+    """Last states, newest first, then inputs: (channels, points), and the change over the next sample, (n, points)."""
     parts = [], []
     for x, u in trajectories:
         if len(x) <= lags:
@@ -57,8 +57,8 @@ def _regressors(trajectories, lags):
 class PolynomialNARX(_NARX):
     """Polynomial NARX, its terms chosen by forward orthogonal least squares.
 
-    At each step the term that explains most of what is left is taken, for each state by itself (S. Chen, S. A. Billings,
-    W. Luo, Int. J. Control 50, 1989, p. 1873). Written here, since SysIdentPy takes one trajectory only (its thread 50).
+    Each step takes the term that explains most of what is left, for each state by itself (S. Chen, S. A. Billings,
+    W. Luo, Int. J. Control 50, 1989, p. 1873). SysIdentPy would take one trajectory only (its thread 50).
 
     Parameters
     ----------

@@ -13,8 +13,8 @@ DIFFERENTIATION = ("central", "smoothed", "forward")
 class SINDy(Baseline):
     """``dx/dt = Xi theta(x, u)``, sparse by sequentially thresholded least squares.
 
-    S. L. Brunton, J. L. Proctor, J. N. Kutz, IFAC-PapersOnLine 49-18, 2016, p. 710. pysindy differentiates and finds the
-    coefficients; Runge-Kutta steps integrate them here, all trajectories at once, where pysindy integrates one at a time.
+    S. L. Brunton, J. L. Proctor, J. N. Kutz, IFAC-PapersOnLine 49-18, 2016, p. 710. pysindy finds the coefficients;
+    Runge-Kutta steps integrate them here, all trajectories at once, where pysindy integrates one at a time.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ class SINDy(Baseline):
     alpha : float
         Ridge of each least-squares step.
     differentiation : {"central", "smoothed", "forward"}
-        Central differences; the same after Savitzky-Golay smoothing; forward differences, to which the held input belongs.
+        Central differences; the same after Savitzky-Golay smoothing; forward differences, as the input is held.
     """
 
     def __init__(self, degree=2, threshold=0.02, alpha=1e-6, differentiation="central"):

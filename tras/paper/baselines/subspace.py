@@ -10,10 +10,10 @@ from tras.paper.baselines.base import Baseline, check
 class N4SID(Baseline):
     """``z+ = A z + B u, x = C z + D u`` by the oblique projection.
 
-    P. Van Overschee, B. De Moor, *Subspace Identification for Linear Systems*, 1996, Fig. 4.8. Written here, since nfoursid
-    takes one trajectory only; the block Hankel matrices of all trajectories stand side by side, their rows with the mean
-    taken off. All measured states are outputs; constants c and d stand beside the four matrices. A roll-out starts at the
-    z that least squares over the training data predict from (x0, u0), moved by the smallest step that makes
+    P. Van Overschee, B. De Moor, *Subspace Identification for Linear Systems*, 1996, Fig. 4.8. nfoursid takes one
+    trajectory only; here the block Hankel matrices of all trajectories stand side by side, their rows without their
+    means. All measured states are outputs; constants c and d stand beside the four matrices. A roll-out starts at the z
+    that least squares over the training data predict from (x0, u0), moved by the smallest step that makes
     ``C z + D u0 = x0`` exact; with as many states as outputs that is the inverse of C.
 
     Parameters
@@ -69,7 +69,7 @@ class N4SID(Baseline):
         return linalg.pinv(gamma) @ projected, linalg.pinv(gamma[:-n]) @ shorter
 
     def _constant(self, y, u):
-        """c, from the means of the future samples (i, n), (i, m): both states have mean zero, but not the same origin."""
+        """c, from the means of the future samples (i, n), (i, m): both states have mean zero, but two origins."""
         z, effect, rows, rest = np.zeros(self.order), np.zeros((self.order, self.order)), [], []
         for now, held, after in zip(y[1:], u[:-1], u[1:]):
             z, effect = self.A_ @ z + self.B_[:, :-1] @ held, self.A_ @ effect + np.eye(self.order)
@@ -91,7 +91,7 @@ class N4SID(Baseline):
 
 
 def _hankel(values, rows):
-    """Columns of ``rows`` consecutive samples, stacked: (samples, channels) -> (rows * channels, samples - rows + 1)."""
+    """Columns of ``rows`` consecutive samples: (samples, channels) -> (rows * channels, samples - rows + 1)."""
     windows = np.lib.stride_tricks.sliding_window_view(values, rows, axis=0)  # (columns, channels, rows)
     return windows.transpose(2, 1, 0).reshape(rows * values.shape[1], -1)
 
