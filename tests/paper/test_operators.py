@@ -97,9 +97,9 @@ def test_eigenfunctions_evolve_by_their_eigenvalue_on_fresh_trajectories(closed,
     assert np.allclose(f, f[:, :1] * values ** np.arange(21)[:, None], atol=1e-9)
     # The closed form of that with eigenvalue lambda: x2 - b x1^2, b = lambda / (lambda - 2 mu), up to a factor.
     x = np.random.default_rng(0).uniform(-1, 1, (50, 2))
-    own = operators.eigenfunctions(closed, x)[:, 3]
+    last = operators.eigenfunctions(closed, x)[:, 3]
     exact = x[:, 1] - LAM / (LAM - 2 * MU) * x[:, 0] ** 2
-    assert np.allclose(own / own[0], exact / exact[0], atol=1e-8)
+    assert np.allclose(last / last[0], exact / exact[0], atol=1e-8)
 
 
 def test_projection_error(closed, gaussian, fresh):

@@ -50,9 +50,9 @@ def test_the_parameters_of_any_plant_come_back(factors):
     rng = np.random.default_rng(0)
     x, u = rng.uniform(-1, 1, (3, 50, 4)) * [1.2, 2, 3, 3], rng.uniform(-0.2, 0.2, (3, 50, 2))
     recording = tras.Recording(x, u, 0.01, state_names=plant.STATE_NAMES, input_names=TORQUES)
-    found = physics.lumped_parameters(Known(another_plant(np.array(factors))), recording)
-    assert list(found.index) == list(physics.PARAMETER_NAMES)
-    assert found.to_numpy() == pytest.approx(TRUE.to_numpy() * factors, rel=1e-9)
+    values = physics.lumped_parameters(Known(another_plant(np.array(factors))), recording)
+    assert list(values.index) == list(physics.PARAMETER_NAMES)
+    assert values.to_numpy() == pytest.approx(TRUE.to_numpy() * factors, rel=1e-9)
 
 
 def test_an_identified_field_gives_them_within_half_a_percent(data):

@@ -51,10 +51,10 @@ def test_score_splits_windows_back_to_their_recordings(two):
 def test_diverged_windows_are_counted_and_left_out(two):
     scores = validation.score(Late(error=0.1, bad=[3, 4, 12]), two, 5.0).set_index(["recording", "angle"])
     assert list(scores["diverged"]) == [2, 2, 1, 1]
-    kept = two["second"].cut(501).states[[0, 1, 3, 4, 5, 6, 7, 8, 9]][..., [2]]
+    bounded = two["second"].cut(501).states[[0, 1, 3, 4, 5, 6, 7, 8, 9]][..., [2]]
     span = np.ptp(two["second"].cut(501).states[..., 2])
     assert scores.loc[("second", "yaw"), "nrmse"] == pytest.approx(100 * 0.1 / span)
-    assert scores.loc[("second", "yaw"), "enr"] == pytest.approx(metrics.enr(kept, kept + 0.1)[0])
+    assert scores.loc[("second", "yaw"), "enr"] == pytest.approx(metrics.enr(bounded, bounded + 0.1)[0])
     gone = validation.score(Late(bad=slice(None)), two, 5.0)
     assert gone["nrmse"].isna().all() and list(gone["diverged"]) == [10] * 4
 

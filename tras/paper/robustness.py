@@ -37,38 +37,22 @@ def _noisy(recording, level, seed):
     return add_noise(recording, level / 100, seed) if level else recording
 
 
-def identify(
-    recording: Recording, samples: int, method: str, smoothed: Recording | None = None, segment: int | None = None
-) -> KoopmanModel:
-    """A model of long trajectories with the dictionary ``Mechanical(6)``, by one of `METHODS`.
+def _identify(recording, smoothed, samples, method, segment):
+    """A model with the dictionary ``Mechanical(6)`` of long trajectories, cut to ``samples`` for the fit, by a method.
 
-    ``"plain"``: EDMD by least squares, as in the paper. ``"default"``: our regularization. ``"smoothed"``: the same on
-    smoothed states. ``"refined"``: that, then its field refined by multiple shooting on the states as measured.
-
-    Parameters
-    ----------
-    recording : Recording
-        As measured, not cut: smoothing and refining want long trajectories.
-    samples : int
-        Length of the trajectories into which it is cut for the fit.
-    method : str
-    smoothed : Recording, optional
-        ``smooth(recording, STATE_PAIRS)``, if it is at hand.
-    segment : int, optional
-        As for `tras.refine`.
+    "plain": EDMD by least squares, as in the paper. "default": our regularization. "smoothed": the same on smoothed
+    states. "refined": that, then its field refined by multiple shooting on the states as measured.
     """
     if method == "plain":
         return KoopmanModel(Mechanical(6), regularization=None, extrapolation="functions").fit(recording.cut(samples))
-    if method == "default":
-        return KoopmanModel(Mechanical(6)).fit(recording.cut(samples))
-    smoothed = smooth(recording, STATE_PAIRS) if smoothed is None else smoothed
-    model = KoopmanModel(Mechanical(6)).fit(smoothed.cut(samples))
-    return model if method == "smoothed" else refine(model, recording, segment=segment)
+    model = KoopmanModel(Mechanical(6)).fit((recording if method == "default" else smoothed).cut(samples))
+    return refine(model, recording, segment=segment) if method == "refined" else model
 
 
 def noise_study(
-    train, fresh, levels, seeds, samples, window, *, methods=METHODS, default_levels=None, segment=None, processes=1
-):
+    train: Recording, fresh: Recording, levels: list[float], seeds: list[int], samples: int, window: float, *,
+    methods=METHODS, default_levels: list[float] | None = None, segment: int | None = None, processes: int = 1,
+) -> tuple[pd.DataFrame, dict, dict]:  # fmt: skip
     """Prediction error against noise in the training data; validation is free of noise, from the true initial state.
 
     Without noise there is one seed and nothing to smooth or to refine.
@@ -118,7 +102,7 @@ def _noise_case(train, fresh, samples, window, segment, level, seed, methods):
     rows, models = [], {}
     for method in methods:
         case = {"noise": level, "seed": seed, "method": method}
-        fit = partial(identify, recording, samples, method, smoothed, segment)
+        fit = partial(_identify, recording, smoothed, samples, method, segment)
         model, of_angles = _attempt(fit, fresh, window, **case)
         error = np.nan
         if model is not None:
@@ -156,8 +140,9 @@ def _slow_controllers(parameters):
 
 
 def sampling_study(
-    times, duration, band, peak, seeds, trajectory, window, *, predictors=PREDICTORS, processes=1
-) -> pd.DataFrame:
+    times: list[float], duration: float, band: list[float], peak: list[float], seeds: list[int], trajectory: float,
+    window: float, *, predictors=PREDICTORS, processes: int = 1,
+) -> pd.DataFrame:  # fmt: skip
     """Prediction error against the sampling time; the loop is simulated anew at each, its torques held over the sample.
 
     Parameters

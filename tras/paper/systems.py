@@ -19,18 +19,18 @@ from tras.workflow.study import each
 SLOW, FAST = -0.05, -1.0
 
 
-def van_der_pol(x):
+def van_der_pol(x: np.ndarray) -> np.ndarray:
     """x1' = x2, x2' = (1 - x1^2) x2 - x1."""
     return np.stack([x[..., 1], (1 - x[..., 0] ** 2) * x[..., 1] - x[..., 0]], axis=-1)
 
 
-def lorenz(x):
+def lorenz(x: np.ndarray) -> np.ndarray:
     """sigma 10, rho 28, beta 8/3: chaotic."""
     a, b, c = np.moveaxis(x, -1, 0)
     return np.stack([10 * (b - a), a * (28 - c) - b, a * b - 8 / 3 * c], axis=-1)
 
 
-def slow_manifold(x):
+def slow_manifold(x: np.ndarray) -> np.ndarray:
     """x1' = mu x1, x2' = lambda (x2 - x1^2), mu -0.05, lambda -1 (S. Brunton et al., PLoS ONE 11, 2016, e0150171)."""
     return np.stack([SLOW * x[..., 0], FAST * (x[..., 1] - x[..., 0] ** 2)], axis=-1)
 
@@ -103,4 +103,4 @@ def _errors(name, *simulation):
     if name == "slow manifold":
         rates = np.log(model.eigenvalues) / model.dt_
         eigenvalue_error = 100 * max(np.abs(rates - rate).min() / abs(rate) for rate in (SLOW, FAST, 2 * SLOW))
-    return [*(coefficient_error(each_model.vector_field, name) for each_model in models), eigenvalue_error]
+    return [*(coefficient_error(fitted.vector_field, name) for fitted in models), eigenvalue_error]
