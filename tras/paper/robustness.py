@@ -183,16 +183,9 @@ def sampling_study(
 
 
 def length_study(
-    train,
-    levels,
-    ratios,
-    stretches,
-    *,
-    fits=("plain", "default"),
-    dictionaries=tuple(DICTIONARIES),
-    seed=0,
-    processes=1,
-) -> pd.DataFrame:
+    train: Recording, levels: list[float], ratios: list[float], stretches: int, *, fits=("plain", "default"),
+    dictionaries=tuple(DICTIONARIES), seed: int = 0, processes: int = 1,
+) -> pd.DataFrame:  # fmt: skip
     """Where the logarithm fails: contiguous stretches of one recording, of ``ratio`` snapshot pairs per function.
 
     Parameters
