@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from tras import plotting
 from tras.explorer.figures import portrait_figure
-from tras.paper.figures import drawings, paper, readings
+from tras.paper.figures import drawings, paper, readings, robustness
 from tras.twin_rotor import drawing as rig
 
 FIGURES = ROOT / "figures"
@@ -52,6 +52,10 @@ DATA_FIGURES = {
     "horizon": paper.horizon_figure,
     "readings_effects": readings.effects_figure,
     "readings_nearest": partial(readings.nearest_figure, within=0.25),
+    "robustness_noise": robustness.noise_figure,
+    "robustness_length": robustness.length_figure,
+    "eigenfunctions": robustness.eigenfunctions_figure,
+    "parameters": robustness.parameters_figure,
     "portrait": portrait_figure,
 }
 CASES = pytest.mark.parametrize(
@@ -69,6 +73,13 @@ def test_truth_and_prediction_differ_in_dash_not_only_in_colour():
     figure = paper.overlay_figure(pd.read_csv(FIGURES / "fig3_overlay.csv"))
     for axes in figure.axes:
         assert len({str(line.get_linestyle()) for line in axes.lines}) == len(axes.lines) == 3
+
+
+def test_where_no_run_gave_a_model_the_curve_has_a_gap():
+    table = pd.read_csv(FIGURES / "robustness_noise.csv")
+    table.loc[(table["method"] == "plain") & (table["noise"] > 0), "nrmse"] = np.nan
+    curve = robustness.noise_figure(table).axes[0].lines[0].get_ydata()
+    assert np.isfinite(curve[0]) and np.isnan(curve[1:]).all()
 
 
 # ------------------------------------------------------------------------------------------------------------ the rig

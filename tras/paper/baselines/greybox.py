@@ -62,30 +62,29 @@ class GreyBox(Baseline):
         starts = [(x, u, k) for x, u in physical for k in range(0, len(x) - samples + 1, samples - 1)]
         pieces = [(x[k : k + samples], u[k : k + samples]) for x, u, k in starts[:: self.every]]
         x, u = (np.stack(part) for part in zip(*pieces))
-        self._x, self._u = x[:, 0].T, u.transpose(1, 2, 0)
+        runs = x[:, 0].T, u.transpose(1, 2, 0)
         true = x.transpose(1, 2, 0) / self.x_scale_[:, None]
 
-        def left(factors):
-            return np.nan_to_num((self._several(start * factors) - true), nan=1e3).ravel()
+        def misfit(factors):
+            return np.nan_to_num((self._several(start * factors, *runs) - true), nan=1e3).ravel()
 
         def slopes(factors, step=1e-5):
             moved = np.concatenate([factors[None], factors + step * np.eye(len(factors))])
-            values = self._several(start * moved)
+            values = self._several(start * moved, *runs)
             change = np.nan_to_num((values[..., 1:, :] - values[..., :1, :]) / step)
             return change.transpose(0, 1, 3, 2).reshape(-1, len(factors))
 
         options = {"f_scale": 0.01, "bounds": (1e-3, 1e3), "max_nfev": 12, "xtol": 1e-10, "ftol": 1e-10}
-        solution = optimize.least_squares(left, np.ones(len(start)), slopes, loss=self.loss, **options)
-        del self._x, self._u
+        solution = optimize.least_squares(misfit, np.ones(len(start)), slopes, loss=self.loss, **options)
         self.parameters_ = dict(zip(PARAMETER_NAMES, (start * solution.x).tolist()))
         self.n_parameters_ = len(self.parameters_)
 
-    def _several(self, values):
+    def _several(self, values, x, u):
         """Roll-outs, in half-ranges, of one set of parameters (8,) or of k sets (k, 8): (samples, n, [k,] batch)."""
-        sets, batch = np.atleast_2d(values), self._x.shape[1]
+        sets, batch = np.atleast_2d(values), x.shape[1]
         wide = [np.repeat(column, batch) for column in sets.T]
         parameters = SimpleNamespace(**dict(zip(PARAMETER_NAMES, wide)))
-        x, u = np.tile(self._x, (1, len(sets))), np.tile(self._u, (1, 1, len(sets)))
+        x, u = np.tile(x, (1, len(sets))), np.tile(u, (1, 1, len(sets)))
         states = self._physical(parameters, x, u) / self.x_scale_[:, None]
         return states if np.ndim(values) == 1 else states.reshape(len(u), 4, len(sets), batch)
 
