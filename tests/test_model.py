@@ -14,7 +14,7 @@ from sklearn.model_selection import GridSearchCV
 
 import tras
 from tras import metrics
-from tras.paper import spectrum
+from tras.paper import operators
 
 A2, B2 = [[0, 1], [-2, -0.5]], [[0], [1]]
 PREDICTORS = ["vector_field", "one_step", "lifted_linear"]
@@ -327,8 +327,8 @@ def test_the_states_columns_alone_predict_as_all_of_k_do(oscillator, delays, tmp
     assert "no eigenvalues" in part.report(recording) and tras.export.formulas(part) == tras.export.formulas(whole)
     for ask in (
         lambda: part.eigenvalues,
-        lambda: spectrum.eigenpairs(part),
-        lambda: spectrum.projection_error(part, recording),
+        lambda: operators.eigenpairs(part),
+        lambda: operators.projection_error(part, recording),
     ):
         with pytest.raises(
             ValueError, match="columns is 'states', so the other columns of K and its eigenvalues are not known"

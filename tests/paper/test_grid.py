@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 import tras
-from tras.paper import grid, readings, stacked, validation
+from tras.paper import grid, readings, validation
 from tras.workflow import cache
 
 SMALL = grid.Study(
@@ -119,7 +119,7 @@ def test_a_second_run_computes_nothing(computed, monkeypatch):
     folder, table, _ = computed
     for name in ("fit", "simulate", "judge_windows"):
         monkeypatch.setattr(grid, name, lambda *_: pytest.fail("computed again"))
-    monkeypatch.setattr(stacked, "free_runs", lambda *_: pytest.fail("computed again"))
+    monkeypatch.setattr(validation, "free_runs", lambda *_: pytest.fail("computed again"))
     again, counts = run(folder)
     assert counts == {"computed": 0, "cached": 6} and again.equals(table)
 
@@ -189,7 +189,7 @@ def test_the_code_that_counts_is_what_the_module_needs():
         "tras.dictionaries.radial",
         "tras.twin_rotor.plant",
         "tras.metrics",
-        "tras.paper.stacked",
+        "tras.paper.validation",
     } <= needed
     assert "tras.plotting" not in needed and "tras.paper.effects" not in needed
 
@@ -228,18 +228,23 @@ def test_stacked_free_runs_are_each_models_own(experiment):
     models[1].W_[1] *= 1.5  # faster than the data
     models[1].W_[1, 1] += 30.0
     starts, inputs = recording.states[:6, :1].reshape(2, 3, 1, 4), recording.inputs[:6].reshape(2, 3, 501, 2)
-    together = stacked.free_runs(models[0].dictionary_, [stacked.field_of(model) for model in models], starts, inputs)
+    together = validation.free_runs(
+        models[0].dictionary_, [validation.field_of(model) for model in models], starts, inputs
+    )
     for model, start, held, prediction in zip(models, starts, inputs, together):
         alone = model.simulate(start[:, 0], held)
         assert np.array_equal(np.isnan(alone), np.isnan(prediction))
         assert np.allclose(prediction, alone, rtol=1e-9, atol=1e-9, equal_nan=True)
     assert np.isnan(together[1]).any() and not np.isnan(together[0]).any()
     with pytest.raises(ValueError, match="fields differ in"):
-        stacked.free_runs(
-            dictionary, [stacked.field_of(models[0]), stacked.field_of(models[1]) | {"substeps": 2}], starts, inputs
+        validation.free_runs(
+            dictionary,
+            [validation.field_of(models[0]), validation.field_of(models[1]) | {"substeps": 2}],
+            starts,
+            inputs,
         )
     with pytest.raises(ValueError, match="only models with predictor='vector_field'"):
-        stacked.field_of(tras.KoopmanModel(dictionary, "one_step").fit(recording))
+        validation.field_of(tras.KoopmanModel(dictionary, "one_step").fit(recording))
 
 
 def test_options_that_make_no_fit_are_refused():
@@ -271,9 +276,9 @@ def test_only_models_of_the_same_functions_and_steps_are_alike(experiment):
             (tras.Mechanical(2), {"extrapolation": "linear"}), (tras.Mechanical(2), {"extrapolation": "linear"}), (tras.Monomials(1), {"predictor": "one_step"}),
         ]
     ]  # fmt: skip
-    assert stacked.alike(fitted) == [[0, 3], [1], [2], [4], [5], [6]]
+    assert validation.alike(fitted) == [[0, 3], [1], [2], [4], [5], [6]]
     fitted[3].substeps_ += 1
-    assert stacked.alike(fitted)[0] == [0]
+    assert validation.alike(fitted)[0] == [0]
     # Models of several structures are scored as each by itself.
     windows = [{"a": recording[k : k + 2]} for k in range(len(fitted))]
     for model, own, table in zip(fitted, windows, validation.score_together(fitted, windows, 2.0)):

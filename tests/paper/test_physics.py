@@ -1,4 +1,4 @@
-"""The plant's parameters from a field: the torque balance against the plant itself, other plants recovered, intervals that mean something."""
+"""The plant's parameters from a field: the torque balance, other plants recovered, intervals that mean something."""
 
 import numpy as np
 import pandas as pd
@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 import tras
 from tras.paper import physics
+from tras.twin_rotor import plant
 
 TORQUES = ["u_phi", "u_psi"]
 TRUE = pd.Series(tras.PlantParameters().as_dict())[list(physics.PARAMETER_NAMES)]
@@ -35,10 +36,10 @@ def data(experiment):
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.floats(0.2, 5), min_size=8, max_size=8), st.integers(0, 99))
 def test_the_torque_balance_is_the_plants(factors, seed):
-    plant = another_plant(np.array(factors))
+    other = another_plant(np.array(factors))
     rng = np.random.default_rng(seed)
     x, u = rng.uniform(-2, 2, (20, 4)), rng.uniform(-1, 1, (20, 2))
-    A = physics.torque_balance(x, tras.vector_field(x, u, plant)[:, [1, 3]])
+    A = physics.torque_balance(x, tras.vector_field(x, u, other)[:, [1, 3]])
     p = TRUE.to_numpy() * factors
     assert np.allclose(A @ p, u.T, rtol=1e-9, atol=1e-9)
 
@@ -47,16 +48,11 @@ def test_the_torque_balance_is_the_plants(factors, seed):
 @given(st.lists(st.floats(0.2, 5), min_size=8, max_size=8))
 def test_the_parameters_of_any_plant_come_back(factors):
     rng = np.random.default_rng(0)
-    recording = tras.Recording(
-        rng.uniform(-1, 1, (3, 50, 4)) * [1.2, 2, 3, 3],
-        rng.uniform(-0.2, 0.2, (3, 50, 2)),
-        0.01,
-        state_names=tras.twin_rotor.plant.STATE_NAMES,
-        input_names=TORQUES,
-    )
-    found = physics.lumped_parameters(Known(another_plant(np.array(factors))), recording)
-    assert list(found.index) == list(physics.PARAMETER_NAMES)
-    assert found.to_numpy() == pytest.approx(TRUE.to_numpy() * factors, rel=1e-9)
+    x, u = rng.uniform(-1, 1, (3, 50, 4)) * [1.2, 2, 3, 3], rng.uniform(-0.2, 0.2, (3, 50, 2))
+    recording = tras.Recording(x, u, 0.01, state_names=plant.STATE_NAMES, input_names=TORQUES)
+    values = physics.lumped_parameters(Known(another_plant(np.array(factors))), recording)
+    assert list(values.index) == list(physics.PARAMETER_NAMES)
+    assert values.to_numpy() == pytest.approx(TRUE.to_numpy() * factors, rel=1e-9)
 
 
 def test_an_identified_field_gives_them_within_half_a_percent(data):
@@ -68,9 +64,8 @@ def test_an_identified_field_gives_them_within_half_a_percent(data):
 def test_channels_are_found_by_name(data):
     model = tras.KoopmanModel(tras.Mechanical(4)).fit(data)
     shuffled = data.select(states=["psi", "psidot", "phi", "phidot"], inputs=["u_psi", "u_phi"])
-    pd.testing.assert_series_equal(
-        tras.lumped_parameters(model, shuffled), tras.lumped_parameters(model, data), rtol=1e-10
-    )
+    by_name, in_order = (tras.lumped_parameters(model, recording) for recording in (shuffled, data))
+    pd.testing.assert_series_equal(by_name, in_order, rtol=1e-10)
 
 
 def noisy_case(data, seed=0):
@@ -87,9 +82,8 @@ def test_intervals_are_the_quantiles_of_the_draws(data):
         drawn = noisy[rng.integers(len(noisy), size=len(noisy)).tolist()]
         rows.append(tras.lumped_parameters(tras.KoopmanModel(tras.Mechanical(2), strength=1e-4).fit(drawn), drawn))
     rows = np.array(rows)
-    assert np.allclose(table["low"], np.quantile(rows, 0.25, axis=0)) and np.allclose(
-        table["high"], np.quantile(rows, 0.75, axis=0)
-    )
+    assert np.allclose(table["low"], np.quantile(rows, 0.25, axis=0))
+    assert np.allclose(table["high"], np.quantile(rows, 0.75, axis=0))
     assert np.allclose(table["standard_error"], rows.std(axis=0, ddof=1))
     assert np.array_equal(table["value"], tras.lumped_parameters(model, noisy))
     assert list(table.index) == list(physics.PARAMETER_NAMES)
@@ -119,52 +113,34 @@ def test_the_pipeline_sees_the_recording_and_the_field_is_asked_at_the_points(da
 def test_more_data_narrow_the_intervals(data):
     model, noisy = noisy_case(data)
     smoothed = tras.smooth(noisy, [("phi", "phidot"), ("psi", "psidot")])
-    few, many = (
-        tras.parameter_intervals(model, smoothed[list(range(count))], draws=12)["standard_error"] for count in (5, 20)
-    )
+    few, many = (tras.parameter_intervals(model, smoothed[:count], draws=12)["standard_error"] for count in (5, 20))
     assert np.median(many / few) < 0.8
 
 
-@pytest.mark.parametrize(
-    "call, words",
-    [
-        (
-            lambda m, r: tras.lumped_parameters(m, r.select(inputs=["u_phi"])),
-            "no input 'u_psi' among u_phi; the torque balance needs",
-        ),
-        (lambda m, r: tras.lumped_parameters(m, r.select(states=["phi", "psi"])), "no state 'phidot' among phi, psi"),
-        (
-            lambda m, r: tras.lumped_parameters(m, r[[0]].cut(2)[[0]]),
-            "tells only . combinations of the 8 parameters apart; record motion",
-        ),
-        (lambda m, r: tras.parameter_intervals(m, r, draws=1), "draws is 1; give a whole number, 2 or more"),
-        (lambda m, r: tras.parameter_intervals(m, r, level=95), "level is 95; give a confidence between 0 and 1"),
-        (
-            lambda m, r: tras.parameter_intervals(m, r[[0]]),
-            "one trajectory, and a bootstrap draws among several; cut it",
-        ),
-        (lambda m, r: tras.parameter_intervals(m, r, pipeline=3), "pipeline is 3; give a function"),
-        (lambda m, r: tras.parameter_intervals(m, r, points=r[[0, 1]]), "points has 2 trajectories, recording 20"),
-    ],
-)
-def test_mistakes_are_named(call, words, data):
+@pytest.mark.parametrize("call, part, options, words", [
+    (tras.lumped_parameters, lambda r: r.select(inputs=["u_phi"]), {}, "no input 'u_psi' among u_phi; the torque"),
+    (tras.lumped_parameters, lambda r: r.select(states=["phi", "psi"]), {}, "no state 'phidot' among phi, psi"),
+    (tras.lumped_parameters, lambda r: r[[0]].cut(2)[[0]], {}, "tells only . combinations of the 8 parameters apart"),
+    (tras.parameter_intervals, lambda r: r, {"draws": 1}, "draws is 1; give a whole number, 2 or more"),
+    (tras.parameter_intervals, lambda r: r, {"level": 95}, "level is 95; give a confidence between 0 and 1"),
+    (tras.parameter_intervals, lambda r: r[[0]], {}, "one trajectory, and a bootstrap draws among several; cut it"),
+    (tras.parameter_intervals, lambda r: r, {"pipeline": 3}, "pipeline is 3; give a function"),
+])  # fmt: skip
+def test_mistakes_are_named(call, part, options, words, data):
     with pytest.raises(ValueError, match=words):
-        call(Known(tras.PlantParameters()), data)
+        call(Known(tras.PlantParameters()), part(data), **options)
+
+
+def test_points_are_of_the_same_trajectories(data):
+    with pytest.raises(ValueError, match="points has 2 trajectories, recording 20"):
+        tras.parameter_intervals(Known(tras.PlantParameters()), data, points=data[[0, 1]])
 
 
 def test_other_channels_and_units_are_refused(data, experiment):
     by_reference = tras.KoopmanModel(tras.Monomials(1)).fit(experiment.select(inputs=["phi_ref", "psi_ref"]))
-    with pytest.raises(
-        ValueError, match="the model's inputs are phi_ref, psi_ref; the torque balance needs u_phi, u_psi"
-    ):
+    with pytest.raises(ValueError, match="inputs are phi_ref, psi_ref; the torque balance needs u_phi, u_psi"):
         tras.lumped_parameters(by_reference, data)
-    in_degrees = tras.Recording(
-        data.states,
-        data.inputs,
-        data.dt,
-        state_names=data.state_names,
-        input_names=TORQUES,
-        state_units=["deg", "deg/s", "rad", "rad/s"],
-    )
+    names = {"state_names": data.state_names, "input_names": TORQUES, "state_units": ["deg", "deg/s", "rad", "rad/s"]}
+    in_degrees = tras.Recording(data.states, data.inputs, data.dt, **names)
     with pytest.raises(ValueError, match="state 'phi' is in 'deg'; convert it to rad"):
         tras.lumped_parameters(Known(tras.PlantParameters()), in_degrees)

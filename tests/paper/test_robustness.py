@@ -1,18 +1,13 @@
-"""The studies of 05_robustness, small: what they count is what happened, and their figures are legible and repeat byte for byte."""
+"""The studies of 05_robustness, small: they count what happened."""
 
 import numpy as np
 import pandas as pd
 import pytest
 import scipy.stats
-from conftest import visible_texts
 
 import tras
-from tras import plotting as figures
-from tras.paper import operators as operator_study
-from tras.paper import physics, robustness, validation
-from tras.paper import systems as benchmark_systems
-from tras.paper.figures import robustness as drawn
-from tras.paper.parameter_study import parameter_study
+from tras.paper import operators, physics, robustness, systems, validation
+from tras.paper.figures.robustness import length_figure
 
 TORQUES = ["u_phi", "u_psi"]
 REACH = [0.6, 0.9, 1.2, 0.9]
@@ -33,33 +28,27 @@ def fresh(parameters):
 
 @pytest.fixture(scope="module")
 def length(train):
-    return robustness.length_study(
-        train, [0.0, 1.0], [1.5, 200.0], 4, fits=["plain"], dictionaries=["linear", "monomials2"]
-    )
+    options = {"fits": ["plain"], "dictionaries": ["linear", "monomials2"]}
+    return robustness.length_study(train, [0.0, 1.0], [1.5, 200.0], 4, **options)
 
 
 @pytest.fixture(scope="module")
 def swings():
-    recordings = [operator_study.free_swings(60, 10.0, 0.1, REACH, seed) for seed in (0, 1)]
+    recordings = [operators.free_swings(60, 10.0, 0.1, REACH, seed) for seed in (0, 1)]
     return tras.KoopmanModel(tras.Monomials(5), regularization=None).fit(recordings[0]), recordings[1]
 
 
-# ------------------------------------------------------------------------------------------------------------- studies
-
-
 def test_without_noise_the_study_scores_the_plain_fit(train, fresh):
-    study, models, recordings = robustness.noise_study(
-        train, fresh, [0.0], [0, 1], 201, 2.0, methods=["plain", "refined"]
-    )
+    methods = ["plain", "refined"]
+    study, models, recordings = robustness.noise_study(train, fresh, [0.0], [0, 1], 201, 2.0, methods=methods)
     model = tras.KoopmanModel(tras.Mechanical(6), regularization=None, extrapolation="functions").fit(train.cut(201))
     expected = validation.score(model, {"fresh": fresh}, 2.0)
     assert list(models) == [(0.0, 0, "plain")] and recordings[0.0, 0][0] is recordings[0.0, 0][1]
     assert list(study["angle"]) == list(expected["angle"]) and set(study["failure"]) == {""}
     np.testing.assert_allclose(study["nrmse"], expected["nrmse"], rtol=1e-9)
-    found, true = physics.lumped_parameters(model, train), tras.PlantParameters().as_dict()
-    assert study["parameter_error"].iloc[0] == pytest.approx(
-        100 * max(abs(found[name] / true[name] - 1) for name in found.index)
-    )
+    values, true = physics.lumped_parameters(model, train), tras.PlantParameters().as_dict()
+    worst = 100 * max(abs(values[name] / true[name] - 1) for name in values.index)
+    assert study["parameter_error"].iloc[0] == pytest.approx(worst)
 
 
 @pytest.fixture(scope="module")
@@ -88,27 +77,24 @@ def test_smoothing_mends_what_noise_spoils_and_refining_follows_it(noise):
 @pytest.mark.slow
 def test_parameters_with_intervals(noise):
     _, models, recordings = noise
-    cases = {
-        level: (models[level, 3, method], *recordings[level, 3]) for level, method in ((0.0, "plain"), (1.0, "refined"))
-    }
-    table = parameter_study(cases, 201, 6)
+    methods = {0.0: "plain", 1.0: "refined"}
+    cases = {level: (models[level, 3, method], *recordings[level, 3]) for level, method in methods.items()}
+    table = robustness.parameter_study(cases, 201, 6)
     assert list(table["noise"].unique()) == [0.0, 1.0] and list(table["parameter"][:8]) == list(physics.PARAMETER_NAMES)
     np.testing.assert_allclose(table["error"], 100 * (table["value"] / table["true"] - 1))
     clean, noisy = (table[table["noise"] == level] for level in (0.0, 1.0))
     assert (clean["error"].abs() < 0.5).all() and (noisy["error"].abs() < 5).all()
     reach = scipy.stats.norm.ppf(0.975) * table["standard_error"]
-    assert np.allclose(table["value"] - table["low"], reach, rtol=1e-3) and np.allclose(
-        table["high"] - table["value"], reach, rtol=1e-3
-    )
+    assert np.allclose(table["value"] - table["low"], reach, rtol=1e-3)
+    assert np.allclose(table["high"] - table["value"], reach, rtol=1e-3)
     assert (noisy["standard_error"].to_numpy() > 10 * clean["standard_error"].to_numpy()).all()
 
 
 @pytest.mark.slow
 def test_the_vector_field_survives_slow_sampling():
     band, peak = [0.5, 1.2], [1.0, 2.5]
-    study = robustness.sampling_study(
-        [0.2], 200.0, band, peak, [1, 2], 5.0, 2.0, predictors=["vector_field", "one_step"]
-    )
+    predictors = ["vector_field", "one_step"]
+    study = robustness.sampling_study([0.2], 200.0, band, peak, [1, 2], 5.0, 2.0, predictors=predictors)
     assert (study["fastest"] < 10).all() and (study["diverged"] == 0).all() and (study["failure"] == "").all()
     error = study.groupby(["dictionary", "predictor"])["nrmse"].mean()
     assert error["mechanical", "vector_field"] < error["mechanical", "one_step"]
@@ -136,99 +122,44 @@ def test_the_study_does_not_depend_on_the_processes(train):
 @pytest.mark.slow
 def test_the_best_eigenpairs_of_free_swings_are_the_plants_own(swings):
     model, judged = swings
-    table = operator_study.residual_study({"free": model}, {"free": judged})
-    best = table[~operator_study.trivial(table) & (table["frequency"] > 0)].sort_values("relative").head(2)
+    table = operators.residual_study({"free": model}, {"free": judged})
+    best = table[~operators.trivial(table) & (table["frequency"] > 0)].sort_values("relative").head(2)
     assert not best["spurious"].any()
-    for wanted in operator_study.linearised_rates():
-        assert np.abs(best["rate"] + 1j * best["frequency"] - wanted).min() < 0.01 * abs(wanted)
+    for exact in operators.linearised_rates():
+        assert np.abs(best["rate"] + 1j * best["frequency"] - exact).min() < 0.01 * abs(exact)
 
 
 def test_projection_errors_are_the_spectrum_modules(swings):
     model, judged = swings
-    table = operator_study.projection_study({"free": model}, {"free": judged})
+    table = operators.projection_study({"free": model}, {"free": judged})
     assert list(table["function"]) == list(model.names_) and table["projection_error"].iloc[0] == 0  # the constant
     assert table.set_index("function").loc["phi", "projection_error"] < 0.01 < table["projection_error"].max()
 
 
 @pytest.mark.slow
 def test_known_systems_come_back():
-    table = benchmark_systems.benchmark_study(20, 16, [0.0], [0]).set_index(["system", "method"])
+    table = systems.benchmark_study(20, 16, [0.0], [0]).set_index(["system", "method"])
     error = table["coefficient_error"]
-    assert (
-        error["slow manifold", "lifting"] < 1e-6 and table.loc[("slow manifold", "lifting"), "eigenvalue_error"] < 1e-6
-    )
+    assert table.loc[("slow manifold", "lifting"), ["coefficient_error", "eigenvalue_error"]].max() < 1e-6
     assert (error.xs("lifting", level="method") < 1).all() and (error.xs("refined", level="method") < 1e-3).all()
 
 
 def test_coefficient_error_of_a_field_that_is_off_in_one_coefficient():
     def field(x):
-        return benchmark_systems.van_der_pol(x) + 0.1 * np.stack([0 * x[..., 0], x[..., 0] ** 2 * x[..., 1]], axis=-1)
+        return systems.van_der_pol(x) + 0.1 * np.stack([0 * x[..., 0], x[..., 0] ** 2 * x[..., 1]], axis=-1)
 
     # 20 coefficients, four of which are not zero: 1, 1, -1, -1.
-    assert benchmark_systems.coefficient_error(field, "Van der Pol") == pytest.approx(100 * 0.1 / np.sqrt(20))
+    assert systems.coefficient_error(field, "Van der Pol") == pytest.approx(100 * 0.1 / np.sqrt(20))
 
 
-# ------------------------------------------------------------------------------------------------------------- figures
+def test_eigenfunctions_are_the_best_ones_scaled_to_one_at_the_corner(swings):
+    table = operators.eigenfunction_table(*swings, [0.6, 1.2], points=21)
+    assert list(table["rank"].unique()) == [1, 2] and len(table) == 2 * 21**2 and (table["frequency"] >= 0).all()
+    corner = table[(table["phi"] == table["phi"].max()) & (table["psi"] == table["psi"].max())]
+    assert np.allclose(corner["real"], 1) and np.allclose(corner["imag"], 0, atol=1e-12)
+    assert corner["relative"].is_monotonic_increasing
 
 
-def noise_case():
-    rows = [
-        (n, s, m, a, 0.1 * (1 + n) * (1 + s))
-        for n in (0, 1, 5)
-        for s in (1, 2)
-        for m in robustness.METHODS
-        for a in ("yaw", "pitch")
-    ]
-    table = pd.DataFrame(rows, columns=["noise", "seed", "method", "angle", "nrmse"])
-    table.loc[(table["method"] == "plain") & (table["noise"] > 0), "nrmse"] = np.nan
-    return drawn.noise_figure(table), table
-
-
-def parameters_case():
-    true = tras.PlantParameters().as_dict()
-    names = ["J", "J_psi0", "J_phi", "G_c", "G_s", "C_phi", "C_psi", "K_psi"]
-    rows = [
-        (n, p, true[p], *(true[p] * (1 + (n + 0.1) * e) for e in (0.001, -0.002, 0.004)))
-        for n in (0.0, 1.0)
-        for p in names
-    ]
-    table = pd.DataFrame(rows, columns=["noise", "parameter", "true", "value", "low", "high"])
-    return drawn.parameters_figure(table), table
-
-
-@pytest.fixture(params=["noise", "length", "eigenfunctions", "parameters"])
-def case(request, length, swings):
-    if request.param == "length":
-        both = pd.concat([length, length.assign(fit="default")], ignore_index=True)
-        return lambda: (drawn.length_figure(both), both)
-    if request.param == "eigenfunctions":
-        table = operator_study.eigenfunction_table(*swings, [0.6, 1.2], points=21)
-        return lambda: (drawn.eigenfunctions_figure(table), table)
-    return {"noise": noise_case, "parameters": parameters_case}[request.param]
-
-
-@pytest.mark.slow
-def test_figures_are_legible_and_inside(case):
-    figure, _ = case()
-    assert figure.get_figwidth() == 3.5
-    renderer, texts = visible_texts(figure)
-    for text in texts:
-        box = text.get_window_extent(renderer)
-        assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= figure.bbox.x1 and box.y1 <= figure.bbox.y1, text.get_text()
-        has_index = "$" in text.get_text() and any(c in text.get_text() for c in "_^")
-        assert text.get_fontsize() * (0.7 if has_index else 1.0) >= 6.0, text.get_text()
-
-
-@pytest.mark.slow
-def test_figures_repeat_byte_for_byte(case, tmp_path):
-    first, second = (figures.save_figure(*case(), tmp_path / name / "fig") for name in "ab")
-    for one, two in zip(first, second):
-        assert one.read_bytes() == two.read_bytes(), one.suffix
-
-
-@pytest.mark.parametrize(
-    "draw", [drawn.noise_figure, drawn.length_figure, drawn.eigenfunctions_figure, drawn.parameters_figure]
-)
-def test_a_table_without_its_columns_is_refused(draw):
-    with pytest.raises(ValueError, match="table lacks the columns"):
-        draw(pd.DataFrame({"noise": [0.0]}))
+def test_the_figure_of_lengths_has_a_row_for_each_fit(length):
+    figure = length_figure(pd.concat([length, length.assign(fit="default")]))
+    assert len(figure.axes) == 2 * length["noise"].nunique()

@@ -51,11 +51,10 @@ def test_score_splits_windows_back_to_their_recordings(two):
 def test_diverged_windows_are_counted_and_left_out(two):
     scores = validation.score(Late(error=0.1, bad=[3, 4, 12]), two, 5.0).set_index(["recording", "angle"])
     assert list(scores["diverged"]) == [2, 2, 1, 1]
-    kept = two["second"].cut(501).states[[0, 1, 3, 4, 5, 6, 7, 8, 9]][..., [2]]
-    assert scores.loc[("second", "yaw"), "nrmse"] == pytest.approx(
-        100 * 0.1 / np.ptp(two["second"].cut(501).states[..., 2])
-    )
-    assert scores.loc[("second", "yaw"), "enr"] == pytest.approx(metrics.enr(kept, kept + 0.1)[0])
+    bounded = two["second"].cut(501).states[[0, 1, 3, 4, 5, 6, 7, 8, 9]][..., [2]]
+    span = np.ptp(two["second"].cut(501).states[..., 2])
+    assert scores.loc[("second", "yaw"), "nrmse"] == pytest.approx(100 * 0.1 / span)
+    assert scores.loc[("second", "yaw"), "enr"] == pytest.approx(metrics.enr(bounded, bounded + 0.1)[0])
     gone = validation.score(Late(bad=slice(None)), two, 5.0)
     assert gone["nrmse"].isna().all() and list(gone["diverged"]) == [10] * 4
 
@@ -72,21 +71,17 @@ def test_losing_the_widest_window_does_not_narrow_the_range(experiment):
 def test_mistakes_name_recording_and_angle(experiment):
     still = tras.Recording(experiment.states[:1] * [1, 1, 0, 1], dt=0.01, state_names=experiment.state_names)
     pitch = experiment.select(states=["phi", "phidot"])
-    for call, words in (
-        (
-            lambda: validation.score(Late(), {"moving": experiment.select(inputs=[]), "still": still}, 5.0),
-            "recording 'still': yaw: the truth psi is constant",
-        ),
-        (
-            lambda: validation.score(Late(), {"half": pitch}, 5.0),
-            "recording 'half': yaw: there is no state 'psi'; there are phi, phidot",
-        ),
-        (lambda: validation.score(Late(), {"short": experiment}, 50.0), "recording 'short': samples = 5001"),
-        (lambda: growth_of(Late(), still, 5.0), "yaw: the truth psi is constant"),
-        (lambda: typical_of(Late(), still, 5.0), "yaw: the truth psi is constant"),
+    moving = experiment.select(inputs=[])
+    for recordings, seconds, words in (
+        ({"moving": moving, "still": still}, 5.0, "recording 'still': yaw: the truth psi is constant"),
+        ({"half": pitch}, 5.0, "recording 'half': yaw: there is no state 'psi'; there are phi, phidot"),
+        ({"short": experiment}, 50.0, "recording 'short': samples = 5001"),
     ):
         with pytest.raises(ValueError, match=words):
-            call()
+            validation.score(Late(), recordings, seconds)
+    for measure in (growth_of, typical_of):
+        with pytest.raises(ValueError, match="yaw: the truth psi is constant"):
+            measure(Late(), still, 5.0)
 
 
 def test_error_growth_of_nothing_left_is_nan(experiment):
@@ -131,8 +126,11 @@ def a_table():
             for seed in (1, 2, 3):
                 for angle in ("yaw", "pitch"):
                     value = 1.0 + i + 0.1 * seed**2  # skewed: the median is not the mean
-                    rows.append({"recording": f"multisine {seed}", "kind": kind, "horizon": horizon, "angle": angle, "enr": value / 100, "bfr": 90.0,
-                                 "nrmse": value, "windows": 83, "diverged": 1 if i == 2 else 0, "input": name, "model": model})  # fmt: skip
+                    rows.append({
+                        "recording": f"multisine {seed}", "kind": kind, "horizon": horizon, "angle": angle,
+                        "enr": value / 100, "bfr": 90.0, "nrmse": value, "windows": 83, "diverged": int(i == 2),
+                        "input": name, "model": model,
+                    })  # fmt: skip
         rows.append({**rows[-1], "recording": "steps", "nrmse": 99.0})
     identification = pd.DataFrame([{"input": name, "model": model, "condition": 123.4} for name, model in sources])
     return tables.comparison(pd.DataFrame(rows), identification)
@@ -140,12 +138,7 @@ def a_table():
 
 def test_comparison_takes_median_and_range_over_the_multisines_only():
     table = a_table()
-    row = table[
-        (table["kind"] == "window")
-        & (table["metric"] == "nrmse")
-        & (table["angle"] == "yaw")
-        & (table["input"] == "torque")
-    ].iloc[0]
+    row = table.query("kind == 'window' and metric == 'nrmse' and angle == 'yaw' and input == 'torque'").iloc[0]
     assert (row["median"], row["lowest"], row["highest"]) == pytest.approx((3.4, 3.1, 3.9))
     assert (row["windows"], row["diverged"]) == (249, 3)
     paper = table[table["input"] == "paper"]
@@ -177,13 +170,11 @@ def test_missing_files_and_markers_are_named(tmp_path, capsys):
     (tmp_path / "README.md").write_text("no markers")
     assert pages.main(["table", f"--figures={ROOT / 'figures'}", f"--pages={tmp_path}", "--write"]) == 2
     assert "README.md must hold" in capsys.readouterr().err and (tmp_path / "README.md").read_text() == "no markers"
-    assert (
-        pages.main(["tables"]) == 2 and "there is no table 'tables': did you mean 'table'?" in capsys.readouterr().err
-    )
+    assert pages.main(["tables"]) == 2
+    assert "there is no table 'tables': did you mean 'table'?" in capsys.readouterr().err
 
 
 def test_the_readme_holds_the_committed_table():
     """`make readme` wrote it from figures/table.csv, which `make all` makes: no number in it was typed."""
-    assert tables.markdown(tables.read(ROOT / "figures" / "table.csv")) in (ROOT / "README.md").read_text(
-        encoding="utf-8"
-    )
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert tables.markdown(tables.read(ROOT / "figures" / "table.csv")) in readme

@@ -23,7 +23,7 @@ from tras.generator import LogarithmError
 from tras.model import KoopmanModel
 
 # Names one by one, never the package as a whole: the cache asks which modules these results depend on.
-from tras.paper import readings, stacked, validation
+from tras.paper import readings, validation
 from tras.recording import Recording, join
 from tras.twin_rotor.closed_loop import INPUTS, REFERENCE_NAMES, simulate_closed_loop
 from tras.twin_rotor.excitation import multisine
@@ -233,7 +233,7 @@ def judge_free_runs(point, fields, truths):
     point : dict
         Of one of the models; all share its dictionary, draw and state.
     fields : list of dict
-        From `tras.paper.stacked.field_of`, one a model.
+        From `tras.paper.validation.field_of`, one a model.
     truths : list of dict
         Validation seed -> recording, one dict a model.
     """
@@ -245,7 +245,7 @@ def judge_free_runs(point, fields, truths):
     rows = [[] for _ in fields]
     for substeps in sorted({field["substeps"] for field in fields}):
         chosen = [i for i, field in enumerate(fields) if field["substeps"] == substeps]
-        predicted = stacked.free_runs(lifted, [fields[i] for i in chosen], starts[chosen], inputs[chosen])
+        predicted = validation.free_runs(lifted, [fields[i] for i in chosen], starts[chosen], inputs[chosen])
         for i, runs in zip(chosen, predicted):
             for (seed, truth), run in zip(truths[i].items(), runs):
                 rows[i] += rows_of(truth, run[None], validation_seed=seed, horizon="free_run")
@@ -284,7 +284,7 @@ def _fitted(study, folder, code, point):
     if not model:
         return {"outcome": outcome, "rows": []}
     rows = judge_windows(study, model, _validation(study, folder, code, point))
-    about = {"N": len(model.names_), "condition": model.condition_number, "field": stacked.field_of(model)}
+    about = {"N": len(model.names_), "condition": model.condition_number, "field": validation.field_of(model)}
     return {"outcome": outcome, "rows": rows, **about}
 
 

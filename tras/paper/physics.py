@@ -1,4 +1,4 @@
-"""Physics back from data: the eight lumped parameters of the twin rotor from an identified vector field (paper, Sec. II).
+"""Physics back from data: the eight lumped parameters of the twin rotor from an identified field (paper, Sec. II).
 
 With torques in N m the equations of motion are linear in the parameters (``J_psi = J cos^2 phi + J_psi0``):
 
@@ -12,7 +12,8 @@ import numpy as np
 import pandas as pd
 from sklearn.base import clone
 
-from tras.recording import join
+from tras.model import KoopmanModel
+from tras.recording import Recording, join
 from tras.twin_rotor.plant import STATE_NAMES, STATE_UNITS, TORQUE_NAMES, TORQUE_UNITS
 from tras.workflow import arguments
 from tras.workflow.study import each
@@ -21,7 +22,7 @@ PARAMETER_NAMES = ("J", "J_psi0", "J_phi", "G_c", "G_s", "C_phi", "C_psi", "K_ps
 PARAMETER_UNITS = ("kg m^2", "kg m^2", "kg m^2", "N m", "N m", "N m s/rad", "N m s/rad", "N m/rad")
 
 
-def torque_balance(x, acceleration):
+def torque_balance(x: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
     """The matrix A of ``A p = u``, p being the eight parameters: (points, 4), (points, 2) -> (2, points, 8).
 
     Columns in the order of `PARAMETER_NAMES`; the first block is pitch's balance, the second yaw's.
@@ -34,12 +35,12 @@ def torque_balance(x, acceleration):
     return np.stack([np.stack(pitch, axis=-1), np.stack(yaw, axis=-1)])
 
 
-def lumped_parameters(model, recording):
+def lumped_parameters(model: KoopmanModel, recording: Recording) -> pd.Series:
     """The eight lumped parameters of the plant, by least squares on the torque balance over a recording.
 
-    The identified field is asked for the accelerations at the recording's states and torques, and the parameters are those for which they
-    fit the torques best. The recording only says where to ask; but noise leads away from the motion on which the field was identified,
-    to where it knows little, so take the smoothed recording.
+    The identified field gives the accelerations at the recording's states and torques, and the parameters are those
+    that fit the torques best. The recording only says where to ask; but noise leads away from the motion on which
+    the field was identified, so take the smoothed recording.
 
     Parameters
     ----------
@@ -56,22 +57,25 @@ def lumped_parameters(model, recording):
     Raises
     ------
     ValueError
-        If model or recording have other channels or units, the model has no vector field or gives no finite rate, or the motion is too
-        poor to tell the parameters apart.
+        If model or recording have other channels or units, the model has no vector field or gives no finite rate, or
+        the motion is too poor to tell the parameters apart.
     """
     return pd.Series(_estimate(model, _plant_channels(join(recording))), index=list(PARAMETER_NAMES), name="value")
 
 
-def parameter_intervals(model, recording, draws=50, level=0.95, seed=0, pipeline=None, points=None, processes=1):
+def parameter_intervals(
+    model: KoopmanModel, recording: Recording, draws: int = 50, level: float = 0.95, seed: int = 0,
+    pipeline=None, points: Recording | None = None, processes: int = 1,
+) -> pd.DataFrame:  # fmt: skip
     """The lumped parameters with confidence intervals, by a bootstrap over trajectories.
 
-    Each draw takes as many trajectories as there are, with replacement, identifies a model from them and the parameters from it. The
-    interval is the percentile interval: the (1 - level)/2 and (1 + level)/2 quantiles of the draws; the standard error is their standard
-    deviation (B. Efron and R. J. Tibshirani, *An Introduction to the Bootstrap*, 1993, Ch. 6 and 13).
+    Each draw takes as many trajectories as there are, with replacement, and identifies a model and its parameters. The
+    interval lies between the (1 - level)/2 and (1 + level)/2 quantiles of the draws; the standard error is their
+    standard deviation (B. Efron and R. J. Tibshirani, *An Introduction to the Bootstrap*, 1993, Ch. 6 and 13).
 
-    The interval shows how far the data scatter. It does NOT see a bias: what all draws get wrong alike, a dictionary that is too
-    small or the bias that noise and smoothing leave, stays invisible, and the truth may lie outside. 50 draws are enough for a standard
-    error; the ends of a 95 % interval want 1000. Trajectories must be many and much alike: cut the recording.
+    The interval shows how far the data scatter. It does NOT see a bias: what all draws get wrong alike, by a dictionary
+    that is too small or by noise and smoothing, stays invisible, and the truth may lie outside. 50 draws are enough
+    for a standard error; the ends of a 95 % interval want 1000. Trajectories must be many and alike: cut the recording.
 
     Parameters
     ----------
@@ -83,11 +87,11 @@ def parameter_intervals(model, recording, draws=50, level=0.95, seed=0, pipeline
     seed : int
         Of the draws: the same one gives the same table.
     pipeline : callable, optional
-        ``pipeline(recording) -> model``, everything that was done to get ``model``: smoothing and refinement belong into it. Default: fit
-        a fresh copy of ``model``, with its options.
+        ``pipeline(recording) -> model``, all that was done to get ``model``: smoothing and refinement belong into it.
+        Default: fit a fresh copy of ``model``, with its options.
     points : Recording, optional
-        The same trajectories where the fields are to be asked, if not at ``recording`` itself: smoothed, when ``recording`` holds noise that
-        ``pipeline`` is to see.
+        The same trajectories where the fields are to be asked, if not at ``recording`` itself: smoothed, when
+        ``recording`` holds noise that ``pipeline`` is to see.
     processes : int
         Draws at the same time; the result does not depend on it.
 
@@ -99,8 +103,8 @@ def parameter_intervals(model, recording, draws=50, level=0.95, seed=0, pipeline
     Raises
     ------
     ValueError
-        As `lumped_parameters`; also on a count or level out of range, a single trajectory, ``points`` of other trajectories, or a draw that cannot be
-        identified.
+        As `lumped_parameters`; also on a count or level out of range, a single trajectory, ``points`` of other
+        trajectories, or a draw that cannot be identified.
     """
     arguments.whole_number("draws", draws, 2)
     arguments.number("level", level, 0, 1, ends=False, give="a confidence between 0 and 1, for example 0.95")
@@ -109,14 +113,12 @@ def parameter_intervals(model, recording, draws=50, level=0.95, seed=0, pipeline
     recording = _plant_channels(join(recording))
     count = len(recording)
     if count < 2:
-        raise ValueError(
-            "the recording has one trajectory, and a bootstrap draws among several; cut it into pieces with recording.cut(samples)."
-        )
+        reason = "has one trajectory, and a bootstrap draws among several"
+        raise ValueError(f"the recording {reason}; cut it into pieces with recording.cut(samples).")
     points = recording if points is None else _plant_channels(join(points))
     if not np.array_equal(points.lengths, recording.lengths):
-        raise ValueError(
-            f"points has {len(points)} trajectories, recording {count}, or their lengths differ; give the same ones, smoothed."
-        )
+        counts = f"points has {len(points)} trajectories, recording {count}"
+        raise ValueError(f"{counts}, or their lengths differ; give the same ones, smoothed.")
     identify = pipeline or (lambda resample: clone(model).fit(resample))
     value = _estimate(model, points)
     resamples = np.random.default_rng(seed).integers(count, size=(draws, count)).tolist()
@@ -140,23 +142,19 @@ def _estimate(model, recording):
     for role, expected in (("state", STATE_NAMES), ("input", TORQUE_NAMES)):
         names = tuple(getattr(model, f"{role}_names_", expected))
         if names != expected:
-            raise ValueError(
-                f"the model's {role}s are {', '.join(names) or 'none'}; the torque balance needs {', '.join(expected)}, in this order."
-            )
+            present = f"the model's {role}s are {', '.join(names) or 'none'}"
+            raise ValueError(f"{present}; the torque balance needs {', '.join(expected)}, in this order.")
     x, u = (np.concatenate(part) for part in zip(*recording))
     rates = model.vector_field(x, u)
     if not np.isfinite(rates).all():
-        raise ValueError(
-            "the model's vector field is not finite on this recording; take data from the range that it was identified in."
-        )
+        raise ValueError("the model's vector field is not finite on this recording; take data like those of the fit.")
     A = torque_balance(x, rates[:, [1, 3]]).reshape(-1, len(PARAMETER_NAMES))
     size = np.linalg.norm(A, axis=0)
     size[size == 0] = 1
     parameters, _, rank, _ = np.linalg.lstsq(A / size, u.T.ravel(), rcond=1e-10)
     if rank < len(size):
-        raise ValueError(
-            f"the recording tells only {rank} combinations of the {len(size)} parameters apart; record motion of both angles."
-        )
+        combinations = f"{rank} combinations of the {len(size)} parameters"
+        raise ValueError(f"the recording tells only {combinations} apart; record motion of both angles.")
     return parameters / size
 
 
@@ -167,8 +165,8 @@ def _plant_channels(recording):
         missing = [name for name in expected if name not in names]
         if missing:
             raise ValueError(
-                f"the recording has no {role} {missing[0]!r} among {', '.join(names) or 'none'}; the torque balance needs the states "
-                f"{', '.join(STATE_NAMES)} and the inputs {', '.join(TORQUE_NAMES)}."
+                f"the recording has no {role} {missing[0]!r} among {', '.join(names) or 'none'}; the torque balance "
+                f"needs the states {', '.join(STATE_NAMES)} and the inputs {', '.join(TORQUE_NAMES)}."
             )
         known = dict(zip(names, getattr(recording, f"{role}_units")))
         for name, unit in zip(expected, units):

@@ -1,8 +1,9 @@
 """Van der Pol, Lorenz and the slow manifold: is the vector field of a known system recovered?
 
-The Lorenz experiment is that of the public code of the lifting method (GitHub ``AlexMauroy/Koopman-identification``, commit ``ed9d808``,
-``main/matlab/example_main_Lorenz.m``; A. Mauroy and J. Goncalves, IEEE Trans. Autom. Control 65, 2020, 2550): 20 runs of 15 steps of 1/30 s from
-the cube of half-width 20, a dictionary of degree 3. Its error measure and its noise, which multiplies each measurement, serve for all three.
+The Lorenz experiment is that of the lifting method's public code (GitHub ``AlexMauroy/Koopman-identification``, commit
+``ed9d808``, ``main/matlab/example_main_Lorenz.m``; A. Mauroy, J. Goncalves, IEEE Trans. Autom. Control 65, 2020, 2550):
+20 runs of 15 steps of 1/30 s from the cube of half-width 20, a dictionary of degree 3. Its error measure and its noise,
+which multiplies each measurement, serve for all three.
 """
 
 import numpy as np
@@ -18,19 +19,19 @@ from tras.workflow.study import each
 SLOW, FAST = -0.05, -1.0
 
 
-def van_der_pol(x):
+def van_der_pol(x: np.ndarray) -> np.ndarray:
     """x1' = x2, x2' = (1 - x1^2) x2 - x1."""
     return np.stack([x[..., 1], (1 - x[..., 0] ** 2) * x[..., 1] - x[..., 0]], axis=-1)
 
 
-def lorenz(x):
+def lorenz(x: np.ndarray) -> np.ndarray:
     """sigma 10, rho 28, beta 8/3: chaotic."""
     a, b, c = np.moveaxis(x, -1, 0)
     return np.stack([10 * (b - a), a * (28 - c) - b, a * b - 8 / 3 * c], axis=-1)
 
 
-def slow_manifold(x):
-    """x1' = mu x1, x2' = lambda (x2 - x1^2), mu -0.05, lambda -1 (S. L. Brunton et al., PLoS ONE 11, 2016, e0150171)."""
+def slow_manifold(x: np.ndarray) -> np.ndarray:
+    """x1' = mu x1, x2' = lambda (x2 - x1^2), mu -0.05, lambda -1 (S. Brunton et al., PLoS ONE 11, 2016, e0150171)."""
     return np.stack([SLOW * x[..., 0], FAST * (x[..., 1] - x[..., 0] ** 2)], axis=-1)
 
 
@@ -42,24 +43,22 @@ SYSTEMS = {
 }
 
 
-def system_recording(name, trajectories, samples, noise, seed):
-    """Free motion of one of `SYSTEMS` from random states, by DOP853 at tight tolerances; noise in percent of each value."""
+def system_recording(name: str, trajectories: int, samples: int, noise: float, seed: int) -> Recording:
+    """Free motion of one of `SYSTEMS` from random states, by DOP853, tight; noise in percent of each value."""
     field, n, _, half, dt = SYSTEMS[name]
     rng = np.random.default_rng(seed)
     times = dt * np.arange(samples)
     starts = rng.uniform(-half, half, (trajectories, n))
-    runs = [
-        solve_ivp(lambda t, x: field(x), (0, times[-1]), x, "DOP853", times, rtol=1e-12, atol=1e-12).y.T for x in starts
-    ]
-    return Recording(
-        [x * (1 + noise / 100 * rng.standard_normal(x.shape)) for x in runs], np.empty((trajectories, samples, 0)), dt
-    )
+    options = {"method": "DOP853", "t_eval": times, "rtol": 1e-12, "atol": 1e-12}
+    runs = [solve_ivp(lambda t, x: field(x), (0, times[-1]), x, **options).y.T for x in starts]
+    measured = [x * (1 + noise / 100 * rng.standard_normal(x.shape)) for x in runs]
+    return Recording(measured, np.empty((trajectories, samples, 0)), dt)
 
 
-def coefficient_error(field, name):
-    """Root mean square error of a field's coefficients of the monomials, over the mean size of those that are not zero: in percent.
+def coefficient_error(field, name: str) -> float:
+    """Root mean square error of a field's coefficients of the monomials, in percent of the mean size of those not zero.
 
-    ``field`` is a polynomial of the degree that `SYSTEMS` names, so its values at some points of the box give its coefficients exactly.
+    ``field`` is a polynomial of the degree that `SYSTEMS` names, so its values at points of the box give them exactly.
     """
     exact_field, n, degree, half, _ = SYSTEMS[name]
     dictionary = Monomials(degree)
@@ -70,15 +69,15 @@ def coefficient_error(field, name):
     return 100 * np.sqrt(np.mean((identified - exact) ** 2)) / np.abs(exact[exact != 0]).mean()
 
 
-def benchmark_study(trajectories, samples, noises, seeds, *, processes=1):
-    """How well fields come back: extended dynamic mode decomposition with the logarithm, which is the lifting method, and refined.
+def benchmark_study(trajectories: int, samples: int, noises, seeds, *, processes: int = 1) -> pd.DataFrame:
+    """How well fields come back, by the lifting method (EDMD with the logarithm) and refined.
 
     Returns
     -------
     pandas.DataFrame
-        ``system, noise`` (%), ``method`` ("lifting" or "refined"), ``degree, functions, pairs, sampling_time`` (s); the median over the seeds of
-        ``coefficient_error`` (%, see there) and of ``eigenvalue_error``, the largest relative error of mu, lambda and 2 mu in percent (of the
-        slow manifold by lifting; NaN elsewhere).
+        ``system, noise`` (%), ``method`` ("lifting" or "refined"), ``degree, functions, pairs, sampling_time`` (s); the
+        median over the seeds of ``coefficient_error`` (%, see there) and of ``eigenvalue_error``, the largest relative
+        error of mu, lambda and 2 mu in percent (of the slow manifold by lifting; NaN elsewhere).
     """
     cases = [(name, noise) for name in SYSTEMS for noise in noises]
     runs = [(*case, seed) for case in cases for seed in seeds]
@@ -99,12 +98,9 @@ def _errors(name, *simulation):
     """Coefficients' error by lifting and refined, and the eigenvalues'."""
     recording = system_recording(name, *simulation)
     model = KoopmanModel(Monomials(SYSTEMS[name][2]), regularization=None, extrapolation="functions").fit(recording)
-    by_coefficients = [
-        coefficient_error(m.vector_field, name) for m in (model, refine(model, recording, segment=recording.lengths[0]))
-    ]
-    return [*by_coefficients, _eigenvalue_error(model) if name == "slow manifold" else np.nan]
-
-
-def _eigenvalue_error(model):
-    rates = np.log(model.eigenvalues) / model.dt_
-    return 100 * max(np.abs(rates - rate).min() / abs(rate) for rate in (SLOW, FAST, 2 * SLOW))
+    models = model, refine(model, recording, segment=recording.lengths[0])
+    eigenvalue_error = np.nan
+    if name == "slow manifold":
+        rates = np.log(model.eigenvalues) / model.dt_
+        eigenvalue_error = 100 * max(np.abs(rates - rate).min() / abs(rate) for rate in (SLOW, FAST, 2 * SLOW))
+    return [*(coefficient_error(fitted.vector_field, name) for fitted in models), eigenvalue_error]

@@ -1,4 +1,4 @@
-"""Each method recovers a system of its own class; none crosses a boundary, runs away loudly, or takes a wrong option in silence."""
+"""Each method recovers a system of its class; none crosses a boundary, runs away loudly, or takes a wrong option."""
 
 import warnings
 
@@ -19,8 +19,8 @@ from tras.paper.baselines.subspace import N4SID
 
 A, B = [[0, 1], [-2, -0.3]], [[0], [1]]
 ALL = [
-    DMDc(), N4SID(2, 5, 0), HammersteinWiener(3, 3), PolynomialNARX(2), PolynomialNARX(2, 2, 8), NeuralNARX((4,), iterations=20), SINDy(2), PykoopEdmd(2),
-    PykoopEdmd(2, relift=False),
+    DMDc(), N4SID(2, 5, 0), HammersteinWiener(3, 3), PolynomialNARX(2), PolynomialNARX(2, 2, 8),
+    NeuralNARX((4,), iterations=20), SINDy(2), PykoopEdmd(2), PykoopEdmd(2, relift=False),
 ]  # fmt: skip
 each = pytest.mark.parametrize("model", ALL, ids=lambda model: " ".join(str(model).split()))
 
@@ -47,11 +47,10 @@ def worst(model, recording):
     return float(np.abs(model.predict(recording) - recording.states).max())
 
 
-@pytest.mark.parametrize(
-    "model",
-    [DMDc(), N4SID(2, 5, 0), N4SID(2, 8, 1e-9), PolynomialNARX(1), PykoopEdmd(1), HammersteinWiener(1, 1)],
-    ids=str,
-)
+LINEAR = [DMDc(), N4SID(2, 5, 0), N4SID(2, 8, 1e-9), PolynomialNARX(1), PykoopEdmd(1), HammersteinWiener(1, 1)]
+
+
+@pytest.mark.parametrize("model", LINEAR, ids=str)
 def test_a_linear_system_is_found_exactly(model, linear):
     fresh = linear_system(A, B, 0.05, trajectories=3, samples=200, seed=9)[0]
     assert worst(clone(model).fit(linear), fresh) < 1e-9
@@ -61,10 +60,8 @@ def test_n4sid_finds_the_poles_and_a_rest_away_from_zero(linear):
     moved = tras.Recording(linear.states + [5.0, 0.0], linear.inputs + 3.0, 0.05)
     model = N4SID(2, 5, 0).fit(moved)
     expected = np.linalg.eigvals(linear_system(A, B, 0.05)[1])
-    assert (
-        np.allclose(np.sort_complex(np.linalg.eigvals(model.A_)), np.sort_complex(expected), atol=1e-9)
-        and worst(model, moved) < 1e-8
-    )
+    assert np.allclose(np.sort_complex(np.linalg.eigvals(model.A_)), np.sort_complex(expected), atol=1e-9)
+    assert worst(model, moved) < 1e-8
 
 
 @pytest.mark.parametrize("model", [PolynomialNARX(2), PolynomialNARX(3, terms=9), PykoopEdmd(2)], ids=str)
@@ -104,24 +101,12 @@ def test_two_lags_find_what_one_cannot():
 
 
 def test_sindy_finds_the_terms_of_a_field():
-    recording = ode_recording(
-        lambda x, u: np.array([x[1], -x[0] - 0.2 * x[1] - 0.5 * x[0] ** 3 + u[0]]),
-        0.02,
-        n=2,
-        m=1,
-        trajectories=12,
-        samples=40,
-    )
+    def duffing(x, u):
+        return np.array([x[1], -x[0] - 0.2 * x[1] - 0.5 * x[0] ** 3 + u[0]])
+
+    recording = ode_recording(duffing, 0.02, n=2, m=1, trajectories=12, samples=40)
+    fresh = ode_recording(duffing, 0.02, n=2, m=1, trajectories=4, samples=60, seed=5)
     model = SINDy(3, 0.05, 1e-9, "forward").fit(recording)
-    fresh = ode_recording(
-        lambda x, u: np.array([x[1], -x[0] - 0.2 * x[1] - 0.5 * x[0] ** 3 + u[0]]),
-        0.02,
-        n=2,
-        m=1,
-        trajectories=4,
-        samples=60,
-        seed=5,
-    )
     assert worst(model, fresh) < 0.02 and model.n_parameters_ < 20
     linear = SINDy(1, 0.0, 1e-9, "forward").fit(recording)
     assert worst(linear, fresh) > 2 * worst(model, fresh)
@@ -166,9 +151,8 @@ def test_a_hammerstein_wiener_system_is_found():
 def test_the_network_learns_a_map(polynomial):
     model = NeuralNARX((8,), iterations=300).fit(polynomial)
     span = np.ptp(polynomial.states)
-    assert worst(model, polynomial) < 0.02 * span and np.array_equal(
-        model.predict(polynomial), clone(model).fit(polynomial).predict(polynomial)
-    )
+    assert worst(model, polynomial) < 0.02 * span
+    assert np.array_equal(model.predict(polynomial), clone(model).fit(polynomial).predict(polynomial))
     assert worst(DMDc().fit(polynomial), polynomial) > 3 * worst(model, polynomial)
 
 
@@ -203,24 +187,14 @@ def test_conventions(model, linear):
     assert np.allclose(one, fitted.predict(linear)[0], equal_nan=True)
     assert np.array_equal(fitted.predict(linear), fitted.predict(linear.select(inputs=["u1"], states=["x1", "x2"])))
     uneven = fitted.predict([linear[0], linear[1].cut(50)[0]])
-    assert [len(part) for part in uneven] == [100, 50] and np.allclose(
-        uneven[1], fitted.predict(linear)[1, :50], equal_nan=True
-    )
+    assert [len(part) for part in uneven] == [100, 50]
+    assert np.allclose(uneven[1], fitted.predict(linear)[1, :50], equal_nan=True)
 
 
-@pytest.mark.parametrize(
-    "model",
-    [
-        DMDc(),
-        PolynomialNARX(2),
-        SINDy(1, 0.0),
-        PykoopEdmd(2),
-        PykoopEdmd(2, relift=False),
-        N4SID(2, 5, 0),
-        HammersteinWiener(1, 1),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize("model", [
+    DMDc(), PolynomialNARX(2), SINDy(1, 0.0), PykoopEdmd(2), PykoopEdmd(2, relift=False), N4SID(2, 5, 0),
+    HammersteinWiener(1, 1),
+], ids=str)  # fmt: skip
 def test_what_runs_away_is_nan_without_a_word(model):
     rng = np.random.default_rng(0)
     u = rng.uniform(-1, 1, (5, 40, 1))

@@ -1,4 +1,4 @@
-"""The moving rig and the phase portraits: what is shown is what the tables say, and the bytes are the same each time."""
+"""The moving rig and the phase portraits: they show what the tables say, and the bytes are the same each time."""
 
 import itertools
 
@@ -20,13 +20,8 @@ SMALL = Choice(duration=60.0, input="torque", horizon=3.0)
 
 def overlay(**changed):
     time = np.arange(0, 2.01, 0.01)
-    table = {
-        "time": time,
-        "phi_true": 0.5 * np.sin(time),
-        "psi_true": time,
-        "phi_koopman": 0.3 * np.sin(time),
-        "psi_koopman": 0.8 * time,
-    }
+    table = {"time": time, "phi_true": 0.5 * np.sin(time), "psi_true": time}
+    table |= {"phi_koopman": 0.3 * np.sin(time), "psi_koopman": 0.8 * time}
     return pd.DataFrame(table | changed)
 
 
@@ -35,7 +30,7 @@ def outcome():
     return explore.explore(SMALL)
 
 
-# --- the film ------------------------------------------------------------------------------------------------------------------
+# --- the film --------------------------------------------------------------------------------------------------------
 
 
 def test_a_film_runs_in_real_time():
@@ -70,9 +65,8 @@ def test_truth_and_ghost_stand_where_the_table_says():
             moving = geometry[geometry["part"].isin(set(rig.SOLIDS) - set(rig.STATIC))]
             seen = rig.project(moving[["x", "y", "z"]])[:, :2]
             corners = drawn(scene, zorder)
-            np.testing.assert_allclose(
-                [corners.min(axis=0), corners.max(axis=0)], [seen.min(axis=0), seen.max(axis=0)], atol=1e-9
-            )
+            for extreme in (np.min, np.max):
+                np.testing.assert_allclose(extreme(corners, axis=0), extreme(seen, axis=0), atol=1e-9)
         markers = [line.get_xdata()[0] for line in scene.angles[0].lines if line.get_marker() == "o"]
         assert markers == [film["time"][frame]]
 
@@ -109,14 +103,13 @@ def test_the_movie_needs_no_network():
     assert "<img" in page and 'src="http' not in page
 
 
-# --- phase portraits -----------------------------------------------------------------------------------------------------------
+# --- phase portraits -------------------------------------------------------------------------------------------------
 
 
 def test_the_true_field_of_torques_is_the_plants(parameters):
     x, u = np.array([0.3, 0.1, -0.5, 0.2]), np.array([0.05, -0.02])
-    np.testing.assert_array_equal(
-        portraits.vector_field_of(("u_phi", "u_psi"))(x, u), tras.vector_field(x, u, parameters)
-    )
+    field = portraits.vector_field_of(("u_phi", "u_psi"))
+    np.testing.assert_array_equal(field(x, u), tras.vector_field(x, u, parameters))
 
 
 def test_the_true_field_of_references_is_the_loop_at_its_balance(parameters):
@@ -130,11 +123,9 @@ def test_the_true_field_of_references_is_the_loop_at_its_balance(parameters):
     balance = [parameters.G_c * np.cos(0.3) + parameters.G_s * np.sin(0.3), parameters.K_psi * 0.5]
     torques = [pitch.P * -0.02 - pitch.D * 0.03 + balance[0], yaw.P * 0.04 - yaw.D * 0.05 + balance[1]]
     expected = tras.simulate_plant(away, np.tile(torques, (2, 1)), dt, parameters)
-    field = portraits.vector_field_of(("phi_ref", "psi_ref"))(away, reference)
-    np.testing.assert_allclose(field, (expected[1] - away) / dt, rtol=2e-3, atol=2e-3)
-    np.testing.assert_allclose(
-        portraits.vector_field_of(("phi_ref", "psi_ref"))(start, reference), loop.states[0, 1] - start, atol=1e-9
-    )
+    field = portraits.vector_field_of(("phi_ref", "psi_ref"))
+    np.testing.assert_allclose(field(away, reference), (expected[1] - away) / dt, rtol=2e-3, atol=2e-3)
+    np.testing.assert_allclose(field(start, reference), loop.states[0, 1] - start, atol=1e-9)
 
 
 def test_far_from_the_reference_the_torques_are_at_their_limits(parameters):
@@ -151,15 +142,10 @@ def test_a_portrait_holds_truth_models_and_the_distance_between_them(outcome, pa
     assert len(table) == 3 * 2 * 25 and (table["error"][table["model"] == "true"] == 0).all()
     row = table[(table["model"] == "Gaussian RBF") & (table["plane"] == "yaw")].iloc[7]
     x = [0.8, 0.0, row["angle"], row["rate"]]
-    identified, true = (
-        outcome.model.vector_field(x, [0.0, 0.0]),
-        tras.vector_field(np.array(x), np.zeros(2), parameters),
-    )
-    np.testing.assert_allclose(
-        row[["d_angle", "d_rate", "error"]].astype(float),
-        [identified[2], identified[3], abs(identified[3] - true[3])],
-        rtol=1e-9,
-    )
+    true = tras.vector_field(np.array(x), np.zeros(2), parameters)
+    angle, rate = outcome.model.vector_field(x, [0.0, 0.0])[2:]
+    columns = row[["d_angle", "d_rate", "error"]].astype(float)
+    np.testing.assert_allclose(columns, [angle, rate, abs(rate - true[3])], rtol=1e-9)
     low, high = outcome.model.x_offset_[2] + outcome.model.x_scale_[2] * np.array([-1, 1])
     assert (table[table["plane"] == "yaw"]["angle"].min(), table[table["plane"] == "yaw"]["angle"].max()) == (low, high)
 

@@ -12,10 +12,9 @@ from conftest import ROOT, visible_texts
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from tras import plotting as figures
-from tras.explorer import figures as figures_explore
-from tras.paper.figures import drawings
-from tras.paper.figures import readings as figures_readings
+from tras import plotting
+from tras.explorer.figures import portrait_figure
+from tras.paper.figures import drawings, paper, readings, robustness
 from tras.twin_rotor import drawing as rig
 
 FIGURES = ROOT / "figures"
@@ -47,13 +46,17 @@ def redrawn(draw, name):
 
 
 DATA_FIGURES = {
-    "fig3_overlay": figures.overlay_figure,
-    "excitation": figures.excitation_figure,
-    "spectrum": figures.spectrum_figure,
-    "horizon": figures.horizon_figure,
-    "readings_effects": figures_readings.effects_figure,
-    "readings_nearest": partial(figures_readings.nearest_figure, within=0.25),
-    "portrait": figures_explore.portrait_figure,
+    "fig3_overlay": paper.overlay_figure,
+    "excitation": paper.excitation_figure,
+    "spectrum": paper.spectrum_figure,
+    "horizon": paper.horizon_figure,
+    "readings_effects": readings.effects_figure,
+    "readings_nearest": partial(readings.nearest_figure, within=0.25),
+    "robustness_noise": robustness.noise_figure,
+    "robustness_length": robustness.length_figure,
+    "eigenfunctions": robustness.eigenfunctions_figure,
+    "parameters": robustness.parameters_figure,
+    "portrait": portrait_figure,
 }
 CASES = pytest.mark.parametrize(
     "case", [rig_case, method_case, *(redrawn(draw, name) for name, draw in DATA_FIGURES.items())]
@@ -67,9 +70,16 @@ def test_a_table_without_its_columns_is_refused(name):
 
 
 def test_truth_and_prediction_differ_in_dash_not_only_in_colour():
-    figure = figures.overlay_figure(pd.read_csv(FIGURES / "fig3_overlay.csv"))
+    figure = paper.overlay_figure(pd.read_csv(FIGURES / "fig3_overlay.csv"))
     for axes in figure.axes:
         assert len({str(line.get_linestyle()) for line in axes.lines}) == len(axes.lines) == 3
+
+
+def test_where_no_run_gave_a_model_the_curve_has_a_gap():
+    table = pd.read_csv(FIGURES / "robustness_noise.csv")
+    table.loc[(table["method"] == "plain") & (table["noise"] > 0), "nrmse"] = np.nan
+    curve = robustness.noise_figure(table).axes[0].lines[0].get_ydata()
+    assert np.isfinite(curve[0]) and np.isnan(curve[1:]).all()
 
 
 # ------------------------------------------------------------------------------------------------------------ the rig
@@ -196,7 +206,7 @@ def test_every_letter_reaches_six_points(case):
 
 
 def test_lines_of_the_cycle_differ_in_grey_or_dashes():
-    with figures.styled():
+    with plotting.styled():
         cycle = list(matplotlib.rcParams["axes.prop_cycle"])
     grey = [np.dot([0.299, 0.587, 0.114], to_rgb(entry["color"])) for entry in cycle]
     for i, one in enumerate(cycle):
@@ -218,19 +228,19 @@ def test_method_diagram_holds_the_three_steps_and_their_equations():
 
 def test_saving_twice_gives_the_same_bytes(tmp_path):
     """One figure will do, for this is about `save_figure`; `make verify` compares the bytes of every figure."""
-    case = redrawn(figures.overlay_figure, "fig3_overlay")
-    first = figures.save_figure(*case(), tmp_path / "a" / "fig")
+    case = redrawn(paper.overlay_figure, "fig3_overlay")
+    first = plotting.save_figure(*case(), tmp_path / "a" / "fig")
     figure, table = case()
     with matplotlib.rc_context({"font.size": 20, "svg.hashsalt": "other", "savefig.dpi": 50, "svg.fonttype": "none"}):
-        second = figures.save_figure(figure, table, tmp_path / "b" / "fig")
-    again = figures.save_figure(figure, table, tmp_path / "c" / "fig")
+        second = plotting.save_figure(figure, table, tmp_path / "b" / "fig")
+    again = plotting.save_figure(figure, table, tmp_path / "c" / "fig")
     assert [path.suffix for path in first] == [".pdf", ".svg", ".png", ".csv"]
     for one, two, three in zip(first, second, again):
         assert one.read_bytes() == two.read_bytes() == three.read_bytes(), one.suffix
 
 
 def test_files_hold_no_date_version_or_place(tmp_path):
-    pdf, svg, png, _ = figures.save_figure(*method_case(), tmp_path / "fig")
+    pdf, svg, png, _ = plotting.save_figure(*method_case(), tmp_path / "fig")
     for path in (pdf, svg, png):
         content = path.read_bytes()
         for word in (b"CreationDate", b"Software", b"/work", matplotlib.__version__.encode()):
@@ -239,14 +249,14 @@ def test_files_hold_no_date_version_or_place(tmp_path):
 
 def test_table_comes_back_from_its_file(tmp_path):
     figure, table = rig_case()
-    path = figures.save_figure(figure, table, str(tmp_path / "rig_0.5s"))[-1]
+    path = plotting.save_figure(figure, table, str(tmp_path / "rig_0.5s"))[-1]
     assert path.name == "rig_0.5s.csv" and b"\r" not in path.read_bytes()
     pd.testing.assert_frame_equal(pd.read_csv(path), table, rtol=1e-9, check_dtype=False)
 
 
 def test_failing_save_leaves_the_older_files_and_nothing_else(tmp_path, monkeypatch):
     figure, table = method_case()
-    finals = figures.save_figure(figure, table, tmp_path / "fig")
+    finals = plotting.save_figure(figure, table, tmp_path / "fig")
     before = {path: path.read_bytes() for path in finals}
 
     def full_disk(self, path, **options):
@@ -256,16 +266,16 @@ def test_failing_save_leaves_the_older_files_and_nothing_else(tmp_path, monkeypa
 
     monkeypatch.setattr(Figure, "savefig", full_disk)
     with pytest.raises(OSError, match="No space left"):
-        figures.save_figure(figure, table, tmp_path / "fig")
+        plotting.save_figure(figure, table, tmp_path / "fig")
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 def test_wrong_arguments_are_named_before_anything_is_written(tmp_path):
     figure, table = method_case()
     with pytest.raises(TypeError, match="table must be a pandas DataFrame.*not dict"):
-        figures.save_figure(figure, {"x": [1]}, tmp_path / "new" / "fig")
+        plotting.save_figure(figure, {"x": [1]}, tmp_path / "new" / "fig")
     with pytest.raises(TypeError, match="figure must be a matplotlib Figure, not NoneType"):
-        figures.save_figure(None, table, tmp_path / "new" / "fig")
+        plotting.save_figure(None, table, tmp_path / "new" / "fig")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -278,7 +288,8 @@ def test_wrong_tables_are_named():
 
 def test_figures_do_without_pyplot():
     code = (
-        "import sys; from tras import drawings, figures, rig; drawings.rig_figure(rig.rig_geometry(0.3, 0.6)); figures.new_figure(rows=2);"
-        "sys.exit('matplotlib.pyplot' in sys.modules)"
+        "import sys; from tras import plotting; from tras.paper.figures import drawings;"
+        "from tras.twin_rotor import drawing; drawings.rig_figure(drawing.rig_geometry(0.3, 0.6));"
+        "plotting.new_figure(rows=2); sys.exit('matplotlib.pyplot' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0

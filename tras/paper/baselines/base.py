@@ -1,37 +1,39 @@
 """What all other methods share: scaling, checks, roll-outs side by side."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from tras import rollout
 from tras.estimator import Channels, Estimator
-from tras.recording import join
+from tras.recording import Recording, join
 
 
 class Baseline(Estimator):
     """An identified model of scaled channels; a subclass supplies how to learn and how to go on.
 
     ``_learn(trajectories)``
-        From a list of (states (samples, n), inputs (samples, m)), scaled; sets ``n_parameters_``, the numbers found from data that a prediction needs.
+        From a list of (states (samples, n), inputs (samples, m)), scaled; sets ``n_parameters_``, how many numbers from
+        data a prediction needs.
     ``_advance(z, u)``
-        One sample: (n, batch), (m, batch) -> (n, batch). `_roll_out` may be replaced instead, by methods whose state is not the system's.
+        One sample: (n, batch), (m, batch) -> (n, batch). Methods whose state is not the system's replace `_roll_out`.
     """
 
-    def fit(self, recording, y=None):
+    def fit(self, recording: Recording | Sequence[Recording], y=None) -> "Baseline":
         """Identify from a `Recording`, or a sequence of recordings with the same channels.
 
         Raises
         ------
         ValueError
-            On an option that is none, a constant channel, no snapshot pairs, too few data.
+            On a wrong option, a constant channel, no snapshot pairs, too few data.
         """
         recording = join(recording)
         if recording.pairs == 0:
             raise ValueError("no trajectory has two samples, so there are no snapshot pairs; record more.")
         self._check_options()
         self.channels_ = Channels.of(recording)
-        self._learn(
-            [((x - self.x_offset_) / self.x_scale_, (u - self.u_offset_) / self.u_scale_) for x, u in recording]
-        )
+        scaled = [((x - self.x_offset_) / self.x_scale_, (u - self.u_offset_) / self.u_scale_) for x, u in recording]
+        self._learn(scaled)
         return self
 
     def _simulate_scaled(self, x, u):
@@ -51,23 +53,15 @@ class Baseline(Estimator):
 
 def pairs(trajectories):
     """All snapshot pairs, none across two trajectories: states, inputs, next states, (pairs, channels) each."""
-    return tuple(
-        np.concatenate(part)
-        for part in (
-            [x[:-1] for x, _ in trajectories],
-            [u[:-1] for _, u in trajectories],
-            [x[1:] for x, _ in trajectories],
-        )
-    )
+    return tuple(map(np.concatenate, zip(*[(x[:-1], u[:-1], x[1:]) for x, u in trajectories])))
 
 
 def ridge(features, targets, alpha=0.0):
-    """Least squares by QR with ``alpha`` times the number of rows on the squares of the coefficients: (points, N), (points, k) -> (N, k)."""
+    """Least squares, (points, N), (points, k) -> (N, k); the coefficients' squares weigh ``alpha`` times the points."""
     count = features.shape[1]
     if len(features) < count:
-        raise ValueError(
-            f"there are {len(features)} snapshot pairs for {count} coefficients a channel; record more or choose a smaller model."
-        )
+        counts = f"{len(features)} snapshot pairs for {count} coefficients per channel"
+        raise ValueError(f"there are {counts}; record more or choose a smaller model.")
     if alpha:
         features = np.vstack([features, np.sqrt(alpha * len(features)) * np.eye(count)])
         targets = np.vstack([targets, np.zeros((count, targets.shape[1]))])

@@ -7,16 +7,16 @@ from tras.paper.baselines.base import Baseline, Monomial, check
 
 
 class PykoopEdmd(Baseline):
-    """EDMD with monomials and Tikhonov regularisation as pykoop does it (S. Dahdah, J. R. Forbes, pykoop).
+    """EDMD with monomials and Tikhonov regularization as pykoop does it (S. Dahdah, J. R. Forbes, pykoop).
 
-    pykoop lifts and fits; the roll-out is its own too, all trajectories at once (pykoop itself predicts one at a time).
+    pykoop lifts and fits; the roll-out is ours, all trajectories at once, where pykoop predicts one at a time.
 
     Parameters
     ----------
     order : int
         Highest degree of the monomials of states and inputs; a constant is added.
     alpha : float
-        Tikhonov regularisation, as pykoop has it.
+        Tikhonov regularization, as pykoop has it.
     relift : bool
         Lift the predicted state again at each sample, or go on in the lifted space.
     """
@@ -44,9 +44,8 @@ class PykoopEdmd(Baseline):
         polynomial = self.pipeline_.lifting_functions_[0][1]
         powers = polynomial.transformer_.powers_[polynomial.transform_order_]
         of_states = ~powers[:, n:].any(axis=1)
-        self.lift_state_ = Monomial(
-            np.vstack([powers[of_states, :n], np.zeros((1, n), dtype=int)])
-        )  # the constant stands last among the states
+        constant = np.zeros((1, n), dtype=int)  # stands last among the states
+        self.lift_state_ = Monomial(np.vstack([powers[of_states, :n], constant]))
         self.lift_input_ = Monomial(powers[~of_states])
         self.A_ = np.asarray(self.pipeline_.regressor_.coef_).T
         self.n_parameters_ = n * self.A_.shape[1] if self.relift else self.A_.size

@@ -10,11 +10,11 @@ _REACH, _POINTS = 2.0, 2001  # half-ranges over which the output curves are inve
 
 
 class HammersteinWiener(Baseline):
-    """``v+ = A v + B f(u) + c, x_i = g_i(v_i)``, f and g curves of one channel each (E. W. Bai, Automatica 34, 1998, p. 333).
+    """``v+ = A v + B f(u) + c, x_i = g_i(v_i)``, f and g curves of one channel each.
 
-    Each output curve is found by its inverse ``v = h(x) = x + h2 x^2 + ...``, increasing, which makes the rest linear: for a given h the best A, B, f and c follow
-    by least squares, and h by Gauss-Newton steps on what is left (variable projection), divided by h' so that it counts in units of x. Own lines: no
-    maintained Python package has it.
+    E. W. Bai, Automatica 34, 1998, p. 333. Each output curve is found by its inverse ``v = h(x) = x + h2 x^2 + ...``,
+    increasing, which makes the rest linear: A, B, f and c follow from h by least squares, and h by Gauss-Newton steps
+    on what is left (variable projection), divided by h' so that it counts in units of x. No maintained package has it.
 
     Parameters
     ----------
@@ -42,19 +42,16 @@ class HammersteinWiener(Baseline):
         a, b, c = x[some], u[some], y[some]
         self.curve_ = np.zeros((n, self.output_degree - 1))
         if self.output_degree > 1:
-            solution = optimize.least_squares(
-                lambda h: self._residual(h.reshape(n, -1), a, b, c), self.curve_.ravel(), max_nfev=30
-            )
+            start = self.curve_.ravel()
+            solution = optimize.least_squares(lambda h: self._residual(h.reshape(n, -1), a, b, c), start, max_nfev=30)
             self.curve_ = solution.x.reshape(n, -1)
         self._solve(x, u, y)
-        grid = np.linspace(-_REACH, _REACH, _POINTS)
-        self.grid_ = grid
+        self.grid_ = grid = np.linspace(-_REACH, _REACH, _POINTS)
         values = _curve(np.repeat(grid[:, None], n, axis=1), self.curve_)
         # Beyond where the curve turns it is continued by a small slope, so that it has an inverse.
         steps = np.maximum(np.diff(values, axis=0), 0.05 * (grid[1] - grid[0]))
-        middle = _POINTS // 2
         values = np.concatenate([np.zeros((1, n)), np.cumsum(steps, axis=0)])
-        self.table_ = values - values[middle]
+        self.table_ = values - values[_POINTS // 2]
         self.n_parameters_ = self.linear_.size + self.curve_.size
 
     def _regressors(self, v, u):

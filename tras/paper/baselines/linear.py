@@ -6,9 +6,10 @@ from tras.paper.baselines.base import Baseline, check, pairs, ridge
 
 
 class DMDc(Baseline):
-    """``x+ = A x + B u + c`` by least squares over all snapshot pairs (J. L. Proctor, S. L. Brunton, J. N. Kutz, SIAM J. Appl. Dyn. Syst. 15, 2016, p. 142).
+    """``x+ = A x + B u + c`` by least squares over all snapshot pairs.
 
-    Own lines: PyDMD's ``DMDc`` takes one trajectory only (its thread 582), and these are three.
+    J. L. Proctor, S. L. Brunton, J. N. Kutz, SIAM J. Appl. Dyn. Syst. 15, 2016, p. 142. Written here, since PyDMD's
+    ``DMDc`` takes one trajectory only (its thread 582).
 
     Parameters
     ----------

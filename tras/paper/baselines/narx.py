@@ -1,4 +1,4 @@
-"""Nonlinear autoregressive models with inputs: the next state as a function of the last samples, a polynomial or a neural network."""
+"""Nonlinear autoregressive models with inputs: the next state from the last samples, by a polynomial or a network."""
 
 import warnings
 
@@ -11,18 +11,15 @@ from tras.paper.baselines.base import Baseline, Monomial, check, exponents
 class _NARX(Baseline):
     """The change over a sample from the last ``lags`` samples of states and inputs.
 
-    A roll-out starts from one state, so a model of several lags brings the shorter ones with it: they make the first steps, when less is known.
-    A subclass supplies ``_fit_map(z, change)``: an object whose call takes (channels, batch) to (n, batch) and which knows its ``n_parameters``.
+    A roll-out starts from one state, so a model of several lags brings the shorter ones for the first steps. A subclass
+    supplies ``_fit_map(z, change)``: an object whose call takes (channels, batch) to (n, batch), with ``n_parameters``.
     """
 
     def _check_options(self):
         check("lags", self.lags, self.lags >= 1, "a whole number, 1 or more")
 
     def _learn(self, trajectories):
-        self.maps_ = []
-        for lags in range(1, self.lags + 1):
-            z, change = _regressors(trajectories, lags)
-            self.maps_.append(self._fit_map(z, change))
+        self.maps_ = [self._fit_map(*_regressors(trajectories, lags)) for lags in range(1, self.lags + 1)]
         self.n_parameters_ = sum(each.n_parameters for each in self.maps_)
 
     def _roll_out(self, x, u):
@@ -42,7 +39,7 @@ class _NARX(Baseline):
 
 
 def _regressors(trajectories, lags):
-    """Last states, newest first, then last inputs: (channels, points), and the change over the next sample, (n, points)."""
+    """Last states, newest first, then inputs: (channels, points), and the change over the next sample, (n, points)."""
     parts = [], []
     for x, u in trajectories:
         if len(x) <= lags:
@@ -52,22 +49,23 @@ def _regressors(trajectories, lags):
         parts[1].append(np.diff(x[lags - 1 :], axis=0))
     if not parts[0]:
         raise ValueError(
-            f"no trajectory has more than {lags} samples, which {lags} lags need; record more or use fewer lags."
+            f"no trajectory has more than {lags} samples, which {lags} lags need; record more or use fewer."
         )
     return tuple(np.concatenate(part).T for part in parts)
 
 
 class PolynomialNARX(_NARX):
-    """Polynomial NARX, its terms chosen by forward orthogonal least squares (S. Chen, S. A. Billings, W. Luo, Int. J. Control 50, 1989, p. 1873).
+    """Polynomial NARX, its terms chosen by forward orthogonal least squares.
 
-    At each step the term that explains most of what is left is taken, for each state by itself. Own lines: SysIdentPy takes one trajectory only (its thread 50).
+    Each step takes the term that explains most of what is left, for each state by itself (S. Chen, S. A. Billings,
+    W. Luo, Int. J. Control 50, 1989, p. 1873). SysIdentPy would take one trajectory only (its thread 50).
 
     Parameters
     ----------
     degree : int
     lags : int
     terms : int, optional
-        Terms a state, at most; None: all, plain least squares.
+        Terms per state, at most; None: all, plain least squares.
     """
 
     def __init__(self, degree=2, lags=1, terms=None):
@@ -87,9 +85,8 @@ class PolynomialNARX(_NARX):
 class _Polynomial:
     def __init__(self, z, change, powers, terms):
         if z.shape[1] < len(powers):
-            raise ValueError(
-                f"there are {z.shape[1]} snapshot pairs for {len(powers)} terms; record more or choose a smaller degree."
-            )
+            counts = f"{z.shape[1]} snapshot pairs for {len(powers)} terms"
+            raise ValueError(f"there are {counts}; record more or choose a smaller degree.")
         features = Monomial(powers)(z)
         whole = np.linalg.qr(np.vstack([features, change]).T, mode="r")
         R, targets = whole[:, : len(powers)], whole[:, len(powers) :]
@@ -106,7 +103,7 @@ class _Polynomial:
 
 
 def forward_selection(R, target, terms):
-    """Columns of R in the order of their error reduction ratio, at most ``terms``, without those that depend on chosen ones."""
+    """Columns of R by their error reduction ratio, at most ``terms``, without those that depend on earlier ones."""
     left, rest, columns = R.copy(), target.copy(), []
     whole = np.sum(R**2, axis=0)
     for _ in range(min(terms, R.shape[1])):
@@ -124,7 +121,7 @@ def forward_selection(R, target, terms):
 
 
 class NeuralNARX(_NARX):
-    """Neural network NARX: scikit-learn's ``MLPRegressor`` for the change over a sample, each channel of it scaled to unit deviation.
+    """Neural network NARX: scikit-learn's ``MLPRegressor`` for the change over a sample, scaled to unit deviation.
 
     Trained on single steps, by L-BFGS; in a roll-out it runs on its own predictions.
 
@@ -153,12 +150,8 @@ class NeuralNARX(_NARX):
 
     def _check_options(self):
         super()._check_options()
-        check(
-            "hidden",
-            self.hidden,
-            len(self.hidden) >= 1 and all(width >= 1 for width in self.hidden),
-            "a tuple of whole numbers, for example (16,)",
-        )
+        sound = len(self.hidden) >= 1 and all(width >= 1 for width in self.hidden)
+        check("hidden", self.hidden, sound, "a tuple of whole numbers, for example (16,)")
         check("iterations", self.iterations, self.iterations >= 1, "a whole number, 1 or more")
 
     def _fit_map(self, z, change):
@@ -174,8 +167,8 @@ class _Network:
         self.scale = change.std(axis=1, keepdims=True)
         self.scale[self.scale == 0] = 1.0
         network = MLPRegressor(
-            hidden_layer_sizes=options.hidden, activation="tanh", solver="lbfgs", alpha=options.alpha, max_iter=options.iterations,
-            max_fun=2 * options.iterations, tol=1e-9, random_state=options.seed,
+            hidden_layer_sizes=options.hidden, activation="tanh", solver="lbfgs", alpha=options.alpha, tol=1e-9,
+            max_iter=options.iterations, max_fun=2 * options.iterations, random_state=options.seed,
         )  # fmt: skip
         target = (change / self.scale).T
         with warnings.catch_warnings():

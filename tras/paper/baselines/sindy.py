@@ -11,10 +11,10 @@ DIFFERENTIATION = ("central", "smoothed", "forward")
 
 
 class SINDy(Baseline):
-    """``dx/dt = Xi theta(x, u)``, sparse by sequentially thresholded least squares (S. L. Brunton, J. L. Proctor, J. N. Kutz, IFAC-PapersOnLine 49-18, 2016, p. 710).
+    """``dx/dt = Xi theta(x, u)``, sparse by sequentially thresholded least squares.
 
-    pysindy differentiates and finds the coefficients; they are integrated here by Runge-Kutta steps, inputs held over a sample, all trajectories at once (pysindy
-    itself integrates one at a time).
+    S. L. Brunton, J. L. Proctor, J. N. Kutz, IFAC-PapersOnLine 49-18, 2016, p. 710. pysindy finds the coefficients;
+    Runge-Kutta steps integrate them here, all trajectories at once, where pysindy integrates one at a time.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ class SINDy(Baseline):
     alpha : float
         Ridge of each least-squares step.
     differentiation : {"central", "smoothed", "forward"}
-        Central differences; the same after Savitzky-Golay smoothing; forward differences, to which the held input belongs.
+        Central differences; the same after Savitzky-Golay smoothing; forward differences, as the input is held.
     """
 
     def __init__(self, degree=2, threshold=0.02, alpha=1e-6, differentiation="central"):
@@ -36,12 +36,8 @@ class SINDy(Baseline):
 
     def _check_options(self):
         check("degree", self.degree, self.degree >= 1, "a whole number, 1 or more")
-        check(
-            "differentiation",
-            self.differentiation,
-            self.differentiation in DIFFERENTIATION,
-            f"one of {', '.join(DIFFERENTIATION)}",
-        )
+        method = self.differentiation
+        check("differentiation", method, method in DIFFERENTIATION, f"one of {', '.join(DIFFERENTIATION)}")
         check("threshold", self.threshold, self.threshold >= 0, "a number that is not negative")
 
     def _learn(self, trajectories):
@@ -67,26 +63,23 @@ class SINDy(Baseline):
             data = {"x": states, "u": inputs}
         if not len(self.input_names_):
             data.pop("u")
-        with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore"
-            )  # that a threshold removes everything, or a matrix is ill-conditioned: the errors will say it
+        with (
+            warnings.catch_warnings()
+        ):  # a threshold removes everything, a matrix is ill-conditioned: errors will say it
+            warnings.simplefilter("ignore")
             model.fit(t=self.dt_, **data)
         coefficients = np.asarray(model.coefficients())
         used = coefficients.any(axis=0)
         if not used.any():
-            raise ValueError(
-                f"threshold is {self.threshold!r}, above every coefficient, so that nothing moves; choose a smaller one."
-            )
+            raise ValueError(f"threshold is {self.threshold!r}, above every coefficient; choose a smaller one.")
         self.coefficients_, self.powers_ = coefficients[:, used], np.asarray(model.feature_library.powers_)[used]
         self.lift_ = Monomial(self.powers_)
         self.n_parameters_ = int(np.count_nonzero(self.coefficients_))
         x, u = (np.concatenate(part) for part in (states, inputs))
         some = np.linspace(0, len(x) - 1, min(len(x), 2000)).astype(int)
         with np.errstate(over="ignore", invalid="ignore"):
-            self.substeps_ = rollout.enough_substeps(
-                self._field, x[some].T, u[some].T, self.dt_, tolerance=1e-6, most=8
-            )
+            points = x[some].T, u[some].T
+            self.substeps_ = rollout.enough_substeps(self._field, *points, self.dt_, tolerance=1e-6, most=8)
 
     def _field(self, point):
         return self.coefficients_ @ self.lift_(point)

@@ -1,1 +1,1 @@
-"""The figures of the paper and of the studies: tables in, `Figure` out. `tras.plotting` holds what they share."""
+"""The figures of the paper (`paper`, `drawings`) and of the studies; `tras.plotting` holds what they share."""

@@ -1,13 +1,13 @@
-"""The rig in motion: the truth, the prediction as a ghost, and both angles below. `tras.twin_rotor.drawing` draws it, as in Fig. 1.
+"""The rig in motion: the truth, the prediction as a ghost, and both angles below.
 
-A `film` is a table of both motions; `gif` writes it to a file with the same bytes each time, `movie` returns the
-animation for a notebook.
+A `film` is a table of both motions; `gif` writes it to a file, always with the same bytes; `movie` is for a notebook.
 """
 
 import io
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from matplotlib.animation import FuncAnimation
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -23,8 +23,8 @@ DPI = 100
 COLOURS = 40  # of the GIF's one palette
 
 
-def film(overlay, *, rate=10.0):
-    """The frames of an animation, from a table of samples.
+def film(overlay: pd.DataFrame, *, rate: float = 10.0) -> pd.DataFrame:
+    """The frames of an animation: the table's rows nearest to their times. NaN from where a prediction diverged.
 
     Parameters
     ----------
@@ -32,11 +32,6 @@ def film(overlay, *, rate=10.0):
         `COLUMNS`: ``time`` in s, angles in rad, for example from `tras.paper.validation.overlay`.
     rate : float
         Frames per second; the film runs in real time.
-
-    Returns
-    -------
-    pandas.DataFrame
-        The same columns at the samples nearest to the frames' times. A prediction that diverged stays NaN from then on.
 
     Raises
     ------
@@ -66,7 +61,7 @@ class Scene:
     """
 
     @styled()
-    def __init__(self, table, label="Koopman model"):
+    def __init__(self, table: pd.DataFrame, label: str = "Koopman model"):
         require(table, "table", COLUMNS)
         self.table, self._moving = table, []
         self.figure = Figure(figsize=SIZE, dpi=DPI)
@@ -77,16 +72,16 @@ class Scene:
         self.rig.set_autoscale_on(False)
         draw_rig(self.rig, rig_geometry(0.0, 0.0), parts=STATIC, zorder=1)
         self.angles = [self.figure.add_axes((0.095, low, 0.885, 0.1)) for low in (0.245, 0.085)]
-        for panel, angle, name in zip(self.angles, ("psi", "phi"), (r"yaw $\psi$ (rad)", r"pitch $\phi$ (rad)")):
-            _angle_panel(panel, table, angle, name)
+        _angle_panel(self.angles[0], table, "psi", r"yaw $\psi$ (rad)")
+        _angle_panel(self.angles[1], table, "phi", r"pitch $\phi$ (rad)")
         self.angles[0].tick_params(labelbottom=False)
         self.angles[1].set_xlabel("time (s)", labelpad=1)
         handles = [self.angles[0].plot([], [], **TRUTH)[0], self.angles[0].plot([], [], **MODEL)[0]]
         self.figure.legend(handles, ["truth", label], loc="upper left", bbox_to_anchor=(0.01, 0.99))
 
     @styled()
-    def show(self, frame):
-        """Draw one instant by its number in the table; returns the artists that moved."""
+    def show(self, frame: int) -> list:
+        """Draw one instant, by its number in the table; returns the artists that moved."""
         for artist in self._moving:
             artist.remove()
         row = self.table.iloc[frame]
@@ -102,7 +97,7 @@ class Scene:
             self._moving += panel.plot(row["time"], row[f"{angle}_true"], marker="o", color="black", zorder=5)
         return self._moving
 
-    def pixels(self, frame):
+    def pixels(self, frame: int) -> np.ndarray:
         """One instant as (height, width, 3) bytes of red, green and blue."""
         self.show(frame)
         with styled():
@@ -110,10 +105,10 @@ class Scene:
         return np.asarray(self.figure.canvas.buffer_rgba())[..., :3].copy()
 
 
-def gif(table, path, *, label="Koopman model", rate=10.0, progress=None):
+def gif(table: pd.DataFrame, path: str | Path, *, label="Koopman model", rate: float = 10.0, progress=None) -> Path:
     """Write a `film` as an animated GIF in a loop; the same film gives the same bytes on the same machine.
 
-    All frames share one palette, so the static parts do not flicker and take no space.
+    All frames share one palette, so that the static parts do not flicker and take no space.
 
     Parameters
     ----------
@@ -127,10 +122,6 @@ def gif(table, path, *, label="Koopman model", rate=10.0, progress=None):
         Frames per second, as for `film`; GIF counts hundredths of a second, so 10, 12.5, 20 and 25 are exact.
     progress : text stream, optional
         Takes a progress bar, for example ``sys.stderr``.
-
-    Returns
-    -------
-    pathlib.Path
     """
     from PIL import Image
     from tqdm import tqdm
@@ -155,8 +146,8 @@ def gif(table, path, *, label="Koopman model", rate=10.0, progress=None):
     return Path(path)
 
 
-def movie(table, *, label="Koopman model", rate=10.0):
-    """A `film` as a `matplotlib.animation.FuncAnimation`, for ``IPython.display.HTML(movie(...).to_jshtml())``."""
+def movie(table: pd.DataFrame, *, label: str = "Koopman model", rate: float = 10.0) -> FuncAnimation:
+    """A `film` for a notebook: ``IPython.display.HTML(movie(...).to_jshtml())``."""
     scene = Scene(table, label)
     return FuncAnimation(scene.figure, scene.show, frames=len(table), interval=1000 / rate, blit=False, repeat=True)
 

@@ -1,6 +1,7 @@
-"""Figures of the comparison with other methods: error against horizon, against data and noise, and against the number of parameters."""
+"""Figures of the comparison: error against horizon, against data and noise, and against the number of parameters."""
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
@@ -26,95 +27,70 @@ _UNKNOWN = ("o", "#000000", "-")
 
 
 @styled()
-def horizon_figure(table):
-    """Median NRMSE over the multisines against the length of the prediction, divided by that of the linear model (DMDc), one panel per input and angle.
+def horizon_figure(table: pd.DataFrame) -> Figure:
+    """Median NRMSE over the multisines against the horizon, divided by that of DMDc; one panel per input and angle.
 
     Parameters
     ----------
     table : pandas.DataFrame
         From `horizon_table`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     require(table, "table", ["method", "input", "angle", "horizon", "nrmse", "diverged"])
     horizons = sorted(table["horizon"].unique())
     ticks = ["1 sample", *[f"{h:g} s" for h in horizons[1:]]]
-    figure, panels = _panels(["reference", "torque"], 5.6, "NRMSE over that of DMDc")
+    figure, panels = _panels(["reference", "torque"], "NRMSE over that of DMDc")
     linear = table[table["method"] == LINEAR].set_index(["input", "angle", "horizon"])["nrmse"]
     if linear.empty:
         raise ValueError(f"table has no method {LINEAR!r}, to which the others are related; compare it too.")
     for (column, row), axes in panels.items():
         part = table[(table["input"] == column) & (table["angle"] == row)]
         part = part.assign(nrmse=part["nrmse"] / [linear.get((column, row, h), np.nan) for h in part["horizon"]])
-        _lines(
-            axes,
-            {
-                name: ([horizons.index(h) for h in rows["horizon"]], rows["nrmse"], rows["diverged"])
-                for name, rows in part.groupby("method", sort=False)
-            },
-            ticks,
-        )
+        _lines(axes, part.assign(at=part["horizon"].map(horizons.index)), ticks)
     return figure
 
 
 @styled()
-def data_figure(table):
-    """Median NRMSE over the multisines against the share of the training data, and against noise without and with smoothing.
+def data_figure(table: pd.DataFrame) -> Figure:
+    """Median NRMSE over the multisines against the share of the data, and against noise without and with smoothing.
 
     Parameters
     ----------
     table : pandas.DataFrame
         From `data_table`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     require(table, "table", ["method", "input", "angle", "noise", "smoothed", "fraction", "nrmse", "diverged"])
-    table = table[
-        table["input"]
-        == (table.loc[table["noise"] > 0, "input"].iloc[0] if (table["noise"] > 0).any() else table["input"].iloc[0])
-    ]
+    noisy = table[table["noise"] > 0]
+    table = table[table["input"] == (table if noisy.empty else noisy)["input"].iloc[0]]
     clean, whole = table[table["noise"] == 0], table[table["fraction"] == table["fraction"].max()]
-    figure, panels = _panels(["share of the training data", "noise in the training data"], 5.6)
+    figure, panels = _panels(["share of the training data", "noise in the training data"])
     for (column, row), axes in panels.items():
-        part = (clean if column.startswith("share") else whole)[lambda t: t["angle"] == row]
+        part = clean if column.startswith("share") else whole
+        part = part[part["angle"] == row]
         if column.startswith("share"):
             values = sorted(part["fraction"].unique())
             at, ticks = part["fraction"].map(values.index), [f"{100 * value:g} %" for value in values]
         else:
-            cases = sorted(set(zip(part["noise"], part["smoothed"])))
-            at = [cases.index(pair) for pair in zip(part["noise"], part["smoothed"])]
+            pairs = list(zip(part["noise"], part["smoothed"]))
+            cases = sorted(set(pairs))
+            at = [cases.index(pair) for pair in pairs]
             ticks = [
-                "none" if not level else f"{level:g} %, smoothed" if smoothed else f"{level:g} %"
-                for level, smoothed in cases
+                f"{level:g} %" + (", smoothed" if smoothed else "") if level else "none" for level, smoothed in cases
             ]
-        part = part.assign(at=np.asarray(at)).sort_values("at", kind="stable")
-        _lines(
-            axes,
-            {name: (rows["at"], rows["nrmse"], rows["diverged"]) for name, rows in part.groupby("method", sort=False)},
-            ticks,
-        )
+        _lines(axes, part.assign(at=np.asarray(at)).sort_values("at", kind="stable"), ticks)
     return figure
 
 
 @styled()
-def pareto_figure(table):
-    """NRMSE over the window against the number of parameters, one panel per input and angle.
+def pareto_figure(table: pd.DataFrame) -> Figure:
+    """NRMSE against the number of parameters, one panel per input and angle.
 
     Parameters
     ----------
     table : pandas.DataFrame
         From `horizon_table`, the rows of one horizon.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     require(table, "table", ["method", "input", "angle", "nrmse", "parameters"])
-    figure, panels = _panels(["reference", "torque"], 5.6)
+    figure, panels = _panels(["reference", "torque"])
     for (column, row), axes in panels.items():
         part = table[(table["input"] == column) & (table["angle"] == row) & np.isfinite(table["nrmse"])]
         ends = []
@@ -133,13 +109,13 @@ def pareto_figure(table):
     return figure
 
 
-def horizon_table(scores):
-    """Median, lowest and highest NRMSE over the multisines, with all that diverged: one row per method, input, horizon and angle."""
+def horizon_table(scores: pd.DataFrame) -> pd.DataFrame:
+    """Median, lowest, highest NRMSE over the multisines, and all that diverged, by method, input, horizon, angle."""
     return _over_realisations(scores, ["method", "input", "horizon", "angle"])
 
 
-def data_table(data):
-    """The same for each noise and share of the data."""
+def data_table(data: pd.DataFrame) -> pd.DataFrame:
+    """The same per noise and share of the data."""
     return _over_realisations(data, ["method", "input", "noise", "smoothed", "fraction", "angle"])
 
 
@@ -150,12 +126,12 @@ def _over_realisations(table, by):
     return groups.agg(nrmse=("nrmse", "median"), low=("nrmse", "min"), high=("nrmse", "max"), **counts).reset_index()
 
 
-def _panels(columns, height, label="NRMSE (%)"):
+def _panels(columns, label="NRMSE (%)"):
     """A wide figure: {(column, angle): axes}, one row per angle."""
-    figure = Figure(figsize=(WIDE, height), layout="constrained")
+    figure = Figure(figsize=(WIDE, 5.6), layout="constrained")
     axes = figure.subplots(2, len(columns), sharex="col")
     panels = {
-        (column, angle): axes[i, j] for i, angle in enumerate(("yaw", "pitch")) for j, column in enumerate(columns)
+        (column, angle): panel for angle, row in zip(("yaw", "pitch"), axes) for column, panel in zip(columns, row)
     }
     for (column, angle), panel in panels.items():
         panel.set_title(f"{column}, {angle}")
@@ -163,32 +139,25 @@ def _panels(columns, height, label="NRMSE (%)"):
     return figure, panels
 
 
-def _lines(axes, curves, ticks):
-    """One line per method, hollow where some predictions diverged, its name at its end."""
-    ends = []
-    for name, (x, y, lost) in curves.items():
+def _lines(axes, table, ticks):
+    """One line per method over ``at``, hollow where some predictions diverged, its name at its end."""
+    ends, errors = [], {}
+    for name, rows in table.groupby("method", sort=False):
         marker, colour, dashes = STYLES.get(name, _UNKNOWN)
-        x, y, lost = np.asarray(x, dtype=float), np.asarray(y, dtype=float), np.asarray(lost)
+        x, y, lost = (rows[column].to_numpy() for column in ("at", "nrmse", "diverged"))
+        x, errors[name] = x.astype(float), y
         there = np.isfinite(y) & (y > 0)
         if not there.any():
             continue
         axes.plot(x[there], y[there], color=colour, linestyle=dashes, linewidth=0.8)
-        for some, face in ((lost == 0, colour), (lost > 0, "white")):
-            axes.plot(
-                x[there & some],
-                y[there & some],
-                marker=marker,
-                color=colour,
-                markerfacecolor=face,
-                linestyle="none",
-                markersize=4.5,
-                markeredgewidth=0.7,
-            )
+        look = {"marker": marker, "color": colour, "linestyle": "none", "markersize": 4.5, "markeredgewidth": 0.7}
+        for some, face in ((there & (lost == 0), colour), (there & (lost > 0), "white")):
+            axes.plot(x[some], y[some], markerfacecolor=face, **look)
         ends.append((name, x[there][-1], y[there][-1]))
     axes.set_yscale("log")
     axes.set_xticks(range(len(ticks)), ticks)
     axes.set_xlim(-0.1, len(ticks) - 1 + 0.1)
-    _limit(axes, {name: np.asarray(y, dtype=float) for name, (_, y, _) in curves.items()})
+    _limit(axes, errors)
     _label(axes, ends)
 
 
@@ -206,28 +175,23 @@ def _limit(axes, values):
 
 
 def _label(axes, ends):
-    """Names in a column right of the panel, in the order of the errors, spread so that none covers another, each with a thin line to its point.
-
-    A point beyond the axis has its number beside its name.
-    """
+    """Names right of the panel, spread, in the order of the errors: a line to the point, or its value if beyond."""
     if not ends:
         return
     low, high = (np.log10(edge) for edge in axes.get_ylim())
     order = sorted(ends, key=lambda end: end[2])
     heights = np.array([(np.log10(y) - low) / (high - low) for _, _, y in order])
-    places, gap = np.clip(heights, 0.0, 1.0), 0.085
-    for k in range(1, len(places)):
-        places[k] = max(places[k], places[k - 1] + gap)
-    places[-1] = min(places[-1], 1.0)
-    for k in range(len(places) - 2, -1, -1):
-        places[k] = min(places[k], places[k + 1] - gap)
-    for (name, x, y), level, height in zip(order, places, heights):
-        colour, beyond = STYLES.get(name, _UNKNOWN)[1], not 0 <= height <= 1
+    levels, gap = np.clip(heights, 0.0, 1.0), 0.085
+    for k in range(1, len(levels)):
+        levels[k] = max(levels[k], levels[k - 1] + gap)
+    levels[-1] = min(levels[-1], 1.0)
+    for k in range(len(levels) - 2, -1, -1):
+        levels[k] = min(levels[k], levels[k + 1] - gap)
+    for (name, x, y), level, height in zip(order, levels, heights):
+        colour = STYLES.get(name, _UNKNOWN)[1]
         options = {"fontsize": 6.5, "color": colour, "va": "center", "annotation_clip": False}
-        if beyond:
+        if not 0 <= height <= 1:
             axes.annotate(f"{name} ({y:.1g})", (1.04, level), xycoords="axes fraction", **options)
             continue
         line = {"arrowstyle": "-", "color": colour, "linewidth": 0.4, "shrinkA": 0, "shrinkB": 2, "relpos": (0, 0.5)}
-        axes.annotate(
-            name, (x, y), (1.08, level), xycoords="data", textcoords="axes fraction", arrowprops=line, **options
-        )
+        axes.annotate(name, (x, y), (1.08, level), textcoords="axes fraction", arrowprops=line, **options)

@@ -5,7 +5,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch, Polygon
 
-from tras.plotting import PITCH_COLOUR, WIDTH, YAW_COLOUR, require, styled
+from tras.paper.figures.paper import PITCH_COLOUR, YAW_COLOUR
+from tras.plotting import WIDTH, require, styled
 from tras.twin_rotor.drawing import draw_rig, part_points, project
 
 FORMULA = 8.6  # points: the smallest size whose indices (0.7 of it) still reach 6 points
@@ -14,17 +15,13 @@ FORMULA = 8.6  # points: the smallest size whose indices (0.7 of it) still reach
 
 
 @styled()
-def rig_figure(geometry):
+def rig_figure(geometry: pd.DataFrame) -> Figure:
     """Fig. 1: the twin rotor, its axes, angles and torques. phi is PITCH and psi is YAW.
 
     Parameters
     ----------
     geometry : pandas.DataFrame
-        From `tras.twin_rotor.drawing.rig_geometry`; the labels are placed for the pose ``tras.twin_rotor.drawing.FIGURE_POSE``.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
+        From `tras.twin_rotor.drawing.rig_geometry`; the labels are placed for its ``FIGURE_POSE``.
     """
     require(geometry, "geometry", ["part", "point", "x", "y", "z"])
     figure, axes = _drawing_board(width=0.80, height=0.67, low=(-0.395, -0.43))
@@ -52,15 +49,10 @@ def _rig_arrows(axes, parts):
     dashed = (0, (5, 2.5))
     for part, style in {"phi_zero": dashed, "beam_line": "-", "psi_zero": dashed, "psi_beam": "-"}.items():
         axes.plot(*parts[part].T, linestyle=style, **thin)
-    for part, colour, width in [
-        ("phi_arc", PITCH_COLOUR, 0.9),
-        ("u_phi", PITCH_COLOUR, 1.5),
-        ("main_thrust", PITCH_COLOUR, 1.5),
-        ("psi_arc", YAW_COLOUR, 0.9),
-        ("u_psi", YAW_COLOUR, 1.5),
-        ("tail_thrust", YAW_COLOUR, 1.5),
-    ]:
-        _curved_arrow(axes, parts[part], colour, width)
+    by_angle = {PITCH_COLOUR: ("phi_arc", "u_phi", "main_thrust"), YAW_COLOUR: ("psi_arc", "u_psi", "tail_thrust")}
+    for colour, names in by_angle.items():
+        for part, width in zip(names, (0.9, 1.5, 1.5)):
+            _curved_arrow(axes, parts[part], colour, width)
 
 
 def _curved_arrow(axes, points, colour, width):
@@ -85,14 +77,9 @@ def _rig_names(axes, parts):
     name("main rotor, $m_m$", middle["main_rotor"] + (0.147, 0.05))
     name("tail rotor, $m_t$", middle["tail_rotor"] + (0.0, 0.083))
     name("beam", (0.052, 0.097), ((0.055, 0.083), arm + (-0.023, 0.0)))
-    name(
-        "counterweights,\neach of mass $m_{cw}$",
-        far + (0.062, -0.004),
-        (far + (0.06, 0.008), far + (0.025, 0.005)),
-        (far + (0.06, -0.022), near + (0.028, 0.0)),
-        ha="left",
-        linespacing=1.0,
-    )
+    lines = (far + (0.06, 0.008), far + (0.025, 0.005)), (far + (0.06, -0.022), near + (0.028, 0.0))
+    weights = "counterweights,\neach of mass $m_{cw}$"
+    name(weights, far + (0.062, -0.004), *lines, ha="left", linespacing=1.0)
     name("pitch axis", parts["pitch_axis"][0] + (0.03, -0.02))
     name("yaw axis", parts["yaw_axis"][1] + (0.0, 0.015))
     name("thrust", parts["main_thrust"][1] + (0.045, 0.0))
@@ -135,10 +122,11 @@ _ARROWS = [  # start, end, text, equation, step (0: not a step), linestyle, x, y
     ("Koopman matrix", "generator", "principal\nlogarithm", "(15)", 3, "-", 2.305, 0.33, "top"),
     ("generator", "vector field", f"{_FIT}\nby least squares", "(18)", 3, "-", 2.82, 1.455, "right"),
 ]
-_COLUMNS = ["kind", "name", "text", "x", "y", "width", "height", "start", "end", "step", "equation"]
+_BOX = ["name", "text", "x", "y", "width", "height"]
+_COLUMNS = ["kind", *_BOX, "start", "end", "step", "equation"]
 
 
-def method_diagram():
+def method_diagram() -> pd.DataFrame:
     """The diagram of the method as a table: panels, nodes and arrows with their labels.
 
     Returns
@@ -148,8 +136,8 @@ def method_diagram():
         centre of a node, label of an arrow), ``width``, ``height`` in inches; and for arrows ``start``, ``end``
         (names of nodes), ``step`` (1 to 3, 0 for none), ``equation`` (number in the paper), ``linestyle``, ``align``.
     """
-    panels = pd.DataFrame(_PANELS, columns=["name", "text", "x", "y", "width", "height"]).assign(kind="panel")
-    nodes = pd.DataFrame(_NODES, columns=["name", "text", "x", "y", "width", "height"]).assign(kind="node")
+    panels = pd.DataFrame(_PANELS, columns=_BOX).assign(kind="panel")
+    nodes = pd.DataFrame(_NODES, columns=_BOX).assign(kind="node")
     arrows = pd.DataFrame(_ARROWS, columns=["start", "end", "text", "equation", "step", "linestyle", "x", "y", "align"])
     arrows = arrows.assign(kind="arrow", name=arrows["start"] + " to " + arrows["end"])
     table = pd.concat([panels, nodes, arrows], ignore_index=True)
@@ -158,17 +146,13 @@ def method_diagram():
 
 
 @styled()
-def method_figure(diagram):
+def method_figure(diagram: pd.DataFrame) -> Figure:
     """Fig. 2: from data to vector field, directly (dashed) or through the lifted space, where the problem is linear.
 
     Parameters
     ----------
     diagram : pandas.DataFrame
         From `method_diagram`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     require(diagram, "diagram", _COLUMNS)
     figure, axes = _drawing_board(width=WIDTH, height=2.69)
@@ -182,52 +166,30 @@ def method_figure(diagram):
     return figure
 
 
+def _draw_box(axes, corner, size, rounding, **look):
+    style = f"round,pad=0,rounding_size={rounding}"
+    axes.add_patch(FancyBboxPatch(corner, size.width, size.height, boxstyle=style, **look))
+
+
 def _draw_panel(axes, panel):
     shade = {"state": "#f3f3f3", "lifted": "#dfe9f2"}[panel.name]
-    box = FancyBboxPatch(
-        (panel.x, panel.y),
-        panel.width,
-        panel.height,
-        boxstyle="round,pad=0,rounding_size=0.06",
-        facecolor=shade,
-        linewidth=0,
-    )
-    axes.add_patch(box)
+    _draw_box(axes, (panel.x, panel.y), panel, 0.06, facecolor=shade, linewidth=0)
     middle, top = panel.x + panel.width / 2, panel.y + panel.height
     axes.text(middle, top - 0.06, panel.text, ha="center", va="top", fontsize=FORMULA)
 
 
 def _draw_node(axes, node):
-    box = FancyBboxPatch(
-        (node.x - node.width / 2, node.y - node.height / 2),
-        node.width,
-        node.height,
-        boxstyle="round,pad=0,rounding_size=0.04",
-        facecolor="white",
-        edgecolor="black",
-        linewidth=0.7,
-        zorder=2,
-    )
-    axes.add_patch(box)
+    corner = node.x - node.width / 2, node.y - node.height / 2
+    _draw_box(axes, corner, node, 0.04, facecolor="white", edgecolor="black", linewidth=0.7, zorder=2)
     axes.text(node.x, node.y + 0.075, node.text, ha="center", va="center", fontsize=9, zorder=3)
     axes.text(node.x, node.y - 0.115, node.Index, ha="center", va="center", fontsize=7.5, zorder=3)
 
 
 def _draw_arrow(axes, arrow, nodes):
     start, end = _ends(nodes.loc[arrow.start], nodes.loc[arrow.end])
-    patch = FancyArrowPatch(
-        start,
-        end,
-        arrowstyle="-|>,head_length=0.4,head_width=0.18",
-        mutation_scale=9,
-        linestyle=arrow.linestyle,
-        color="black",
-        linewidth=1.0,
-        shrinkA=0,
-        shrinkB=1,
-        zorder=2,
-    )
-    axes.add_patch(patch)
+    head = {"arrowstyle": "-|>,head_length=0.4,head_width=0.18", "mutation_scale": 9, "shrinkA": 0, "shrinkB": 1}
+    line = {"linestyle": arrow.linestyle, "color": "black", "linewidth": 1.0, "zorder": 2}
+    axes.add_patch(FancyArrowPatch(start, end, **head, **line))
     level = start[1] == end[1]
     middle = ((start[0] + end[0]) / 2, start[1]) if level else (start[0], arrow.y)
     text = arrow.text if level else f"{arrow.text}  {arrow.equation}"

@@ -1,36 +1,27 @@
 """Figures of the robustness studies; see `tras.plotting`."""
 
+import itertools
+
 import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
 
 from tras.plotting import MODEL, new_figure, require, styled
 
-METHOD_NAMES = {
-    "plain": "least squares",
-    "default": "regularised (default)",
-    "smoothed": "smoothed",
-    "refined": "smoothed and refined",
-}
+# The names that differ from those in the tables.
+METHOD_NAMES = {"plain": "least squares", "default": "regularised (default)", "refined": "smoothed and refined"}
 _METHOD_MARKERS = ("o", "s", "^", "D")
-DICTIONARY_NAMES = {
-    "linear": "linear",
-    "monomials2": "monomials, degree 2",
-    "monomials3": "monomials, degree 3",
-    "mechanical": "mechanical",
-}
+DICTIONARY_NAMES = {"monomials2": "monomials, degree 2", "monomials3": "monomials, degree 3"}
 
 
 @styled()
-def noise_figure(table):
-    """Error against measurement noise, a panel for each angle; the median over the seeds, from lowest to highest.
+def noise_figure(table: pd.DataFrame) -> Figure:
+    """Error against measurement noise, one panel per angle: the median over the seeds, from lowest to highest.
 
     Parameters
     ----------
     table : pandas.DataFrame
         Columns ``noise`` (% of the range), ``seed, method, angle`` ("yaw" or "pitch"), ``nrmse`` (%).
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     require(table, "table", ["noise", "seed", "method", "angle", "nrmse"])
     figure, axes = new_figure(height=2.6, columns=2, sharey=True)
@@ -38,12 +29,11 @@ def noise_figure(table):
     for panel, angle in zip(axes, ("yaw", "pitch")):
         rows = table[table["angle"] == angle]
         for (method, group), marker in zip(rows.groupby("method", sort=False), _METHOD_MARKERS):
-            of = (
-                group.groupby("noise")["nrmse"].agg(["min", "median", "max"]).reindex(levels)
-            )  # a gap where no run gave a model
+            # A gap where no run gave a model.
+            errors = group.groupby("noise")["nrmse"].agg(["min", "median", "max"]).reindex(levels)
             at = range(len(levels))
-            (line,) = panel.semilogy(at, of["median"], marker=marker, label=METHOD_NAMES.get(method, method))
-            panel.vlines(at, of["min"], of["max"], color=line.get_color(), linewidth=0.8)
+            (line,) = panel.semilogy(at, errors["median"], marker=marker, label=METHOD_NAMES.get(method, method))
+            panel.vlines(at, errors["min"], errors["max"], color=line.get_color(), linewidth=0.8)
         panel.set_xticks(range(len(levels)), [f"{level:g}" for level in levels])
         panel.set(title=angle, xlabel="noise (% of range)", xlim=(-0.3, len(levels) - 0.7))
     axes[0].set_ylabel("NRMSE over 6 s (%)")
@@ -54,35 +44,25 @@ def noise_figure(table):
 
 
 @styled()
-def length_figure(table):
-    """Share of the data stretches that give no model, against their length: a column for each level of noise, a row for each kind of fit.
+def length_figure(table: pd.DataFrame) -> Figure:
+    """Share of the data stretches that give no model, against their length: one column per noise, one row per fit.
 
     Parameters
     ----------
     table : pandas.DataFrame
-        Columns ``fit`` ("plain" or "default"), ``dictionary, noise`` (%), ``ratio`` (snapshot pairs per function), ``failed`` (0 to 1).
-
-    Returns
-    -------
-    matplotlib.figure.Figure
+        Columns ``fit`` ("plain" or "default"), ``dictionary, noise`` (%), ``ratio`` (snapshot pairs per function),
+        ``failed`` (0 to 1).
     """
     require(table, "table", ["fit", "dictionary", "noise", "ratio", "failed"])
     fits, levels = list(dict.fromkeys(table["fit"])), sorted(table["noise"].unique())
-    figure, axes = new_figure(
-        height=0.9 + 1.25 * len(fits), rows=len(fits), columns=len(levels), squeeze=False, sharey=True
-    )
+    figure, axes = new_figure(0.9 + 1.25 * len(fits), len(fits), len(levels), squeeze=False, sharey=True)
     names = list(dict.fromkeys(table["dictionary"]))
     for row, fit in zip(axes, fits):
         for panel, level in zip(row, levels):
             rows = table[(table["fit"] == fit) & (table["noise"] == level)]
-            for i, name in enumerate(names):
-                line = rows[rows["dictionary"] == name]
-                panel.plot(
-                    line["ratio"],
-                    100 * line["failed"],
-                    marker=_METHOD_MARKERS[i % 4],
-                    label=DICTIONARY_NAMES.get(name, name),
-                )
+            for name, marker in zip(names, itertools.cycle(_METHOD_MARKERS)):
+                line, label = rows[rows["dictionary"] == name], DICTIONARY_NAMES.get(name, name)
+                panel.plot(line["ratio"], 100 * line["failed"], marker=marker, label=label)
             panel.set_title(f"{METHOD_NAMES.get(fit, fit).split(' (')[0]}, {level:g} % noise")
             panel.set(xscale="log", xlim=(0.8 * table["ratio"].min(), 1.25 * table["ratio"].max()), ylim=(-5, 105))
             panel.xaxis.set_major_formatter("{x:g}")
@@ -94,7 +74,7 @@ def length_figure(table):
 
 
 @styled()
-def eigenfunctions_figure(table):
+def eigenfunctions_figure(table: pd.DataFrame) -> Figure:
     """Real parts of Koopman eigenfunctions over pitch and yaw, rates zero, scaled to one at the upper right corner.
 
     Lines are dashed where it is negative and thick where it is zero.
@@ -102,11 +82,8 @@ def eigenfunctions_figure(table):
     Parameters
     ----------
     table : pandas.DataFrame
-        Columns ``rank``, ``rate`` (1/s) and ``frequency`` (rad/s) of the eigenvalue, ``phi, psi`` (rad) on a grid, ``real``.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
+        Columns ``rank``; ``rate`` (1/s) and ``frequency`` (rad/s) of the eigenvalue; ``phi, psi`` (rad) on a grid;
+        ``real``.
     """
     require(table, "table", ["rank", "rate", "frequency", "phi", "psi", "real"])
     groups = list(table.groupby("rank"))
@@ -116,9 +93,7 @@ def eigenfunctions_figure(table):
     for panel, (_, group) in zip(axes[0], groups):
         grid = group.pivot(index="psi", columns="phi", values="real")
         filled = panel.contourf(grid.columns, grid.index, grid, levels=levels, cmap="RdBu_r")
-        lines = panel.contour(
-            grid.columns, grid.index, grid, levels=levels, colors="0.2", linewidths=0.5
-        )  # dashed below zero
+        lines = panel.contour(grid.columns, grid.index, grid, levels=levels, colors="0.2", linewidths=0.5)
         lines.set_linewidth(np.where(levels == 0, 1.4, 0.5))
         rate, frequency = group[["rate", "frequency"]].iloc[0]
         panel.set_title(f"{rate:.3f} ± {frequency:.3f} i (1/s)".replace("-", "\N{MINUS SIGN}"))
@@ -129,17 +104,13 @@ def eigenfunctions_figure(table):
 
 
 @styled()
-def parameters_figure(table):
-    """Errors of the plant's parameters with their 95 % intervals, a panel for each level of noise.
+def parameters_figure(table: pd.DataFrame) -> Figure:
+    """Errors of the plant's parameters with their 95 % intervals, one panel per level of noise.
 
     Parameters
     ----------
     table : pandas.DataFrame
         Columns ``noise`` (%), ``parameter, true, value, low, high``.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     require(table, "table", ["noise", "parameter", "true", "value", "low", "high"])
     levels = sorted(table["noise"].unique())
