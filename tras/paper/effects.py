@@ -8,6 +8,7 @@ from tras.paper import readings
 # The options that change our numbers
 OPTIONS = ("input", "frequency_unit", "dictionary", "state", "horizon", "nrmse_range", "velocity_term")
 SEEDS = ("train_seed", "draw", "validation_seed")
+ONCE = "horizon != 'free_run' or nrmse_range == 'validation_set'"  # the range of a free run is the same twice
 
 
 def target(angle_names="words"):
@@ -88,7 +89,7 @@ def nearest(table):
         As `summary`, with ``angle_names, distance`` (of the medians) and ``distance_lowest, distance_highest`` over the
         single runs. Free runs appear once, under the range of the validation set.
     """
-    complete = summary(table).query("complete and (horizon != 'free_run' or nrmse_range == 'validation_set')")
+    complete = summary(table).query(f"complete and ({ONCE})")
     runs = pairs_of_angles(table)
     parts = []
     for names in readings.choices("angle_names"):
