@@ -75,7 +75,7 @@ def test_validation_is_not_seen(method, study, recordings):
         )
         for name, r in fresh.items()
     }
-    one, two = comparison.case(study, job, train, fresh), comparison.case(study, job, train, other)
+    one, two = (comparison.case(study, train, unseen, None, job) for unseen in (fresh, other))
     assert one["tuning"] == two["tuning"] and one["parameters"] == two["parameters"] and one["scores"] != two["scores"]
 
 
@@ -148,7 +148,7 @@ def test_unknown_names_are_named(options, sentence):
 def test_a_method_that_cannot_be_fitted_says_why(study, recordings, monkeypatch):
     monkeypatch.setitem(comparison.METHODS, "DMDc", [comparison.DMDc(-1.0)])
     job = {"method": "DMDc", "input": "torque", "noise": 0.0, "smoothed": False, "fraction": 1.0}
-    assert "alpha is -1.0" in comparison.case(study, job, *recordings)["failure"]
+    assert "alpha is -1.0" in comparison.case(study, *recordings, None, job)["failure"]
 
 
 def test_figures_hold_every_method(results):

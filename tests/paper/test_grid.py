@@ -249,7 +249,7 @@ def test_options_that_make_no_fit_are_refused():
         grid.points(SMALL, {"horizon": ["window"]})
     with pytest.raises(readings.ReadingError, match="dictionary is 'gauss': did you mean 'gaussian'"):
         grid.points(SMALL, {"dictionary": ["gauss"]})
-    with pytest.raises(readings.ReadingError, match="dictionary is 'gauss': choose one of gaussian"):
+    with pytest.raises(readings.ReadingError, match="dictionary is 'gauss': did you mean 'gaussian'"):
         grid.dictionary("gauss")
 
 
