@@ -5,7 +5,6 @@
 """
 
 import argparse
-import importlib
 import sys
 from pathlib import Path
 
@@ -13,13 +12,26 @@ from tras.paper import tables
 from tras.workflow.arguments import did_you_mean
 from tras.workflow.files import write_between
 
-TABLES = {  # name -> page, CSV file of its rows, module, its function for Markdown, the one for a terminal
-    "table": ("README.md", "figures/table.csv", "tables", "markdown", "text"),
-    "comparison": ("README.md", "data/comparison.csv", "tables", "methods_markdown", "methods_markdown"),
-    "claims": ("README.md", "data/claims.csv", "claims", "markdown", "text"),
-    "errors": ("docs/paper.md", "", "errata", "markdown", "markdown"),
-    "readings": ("docs/paper.md", "", "readings", "markdown", "markdown"),
+TABLES = {  # name -> page, CSV file of its rows, function of its module for Markdown, the one for a terminal
+    "table": ("README.md", "figures/table.csv", "markdown", "text"),
+    "comparison": ("README.md", "data/comparison.csv", "methods_markdown", "methods_markdown"),
+    "claims": ("README.md", "data/claims.csv", "markdown", "text"),
+    "errors": ("docs/paper.md", "", "markdown", "markdown"),
+    "readings": ("docs/paper.md", "", "markdown", "markdown"),
 }
+
+
+def _module(name):
+    """The module of a table, imported when it is asked for: `make all` prints one, and fast."""
+    if name == "claims":
+        from tras.paper import claims as module
+    elif name == "errors":
+        from tras.paper import errata as module
+    elif name == "readings":
+        from tras.paper import readings as module
+    else:
+        module = tables
+    return module
 
 
 def markers(name: str) -> tuple[str, str]:
@@ -41,7 +53,7 @@ def main(arguments: list[str] | None = None) -> int:
         for name in options.names or TABLES:
             if name not in TABLES:
                 raise ValueError(f"there is no table {name!r}{did_you_mean(name, TABLES)}")
-            page, file, module, as_markdown, as_text = TABLES[name]
+            page, file, as_markdown, as_text = TABLES[name]
             page, rows = options.pages / page, []
             if file:
                 folder, _, file = file.partition("/")
@@ -49,12 +61,11 @@ def main(arguments: list[str] | None = None) -> int:
                 if not path.is_file():
                     raise ValueError(f"{path} does not exist; `make all` makes it.")
                 rows = [tables.read(path)]
-            module = importlib.import_module(f"tras.paper.{module}")  # now: `make all` prints one table, and fast
-            content = getattr(module, as_markdown)(*rows)
+            content = getattr(_module(name), as_markdown)(*rows)
             if options.write:
                 write_between(page, *markers(name), content)
                 continue
-            print(content if as_text == as_markdown else getattr(module, as_text)(*rows))
+            print(content if as_text == as_markdown else getattr(_module(name), as_text)(*rows))
             if options.check and content not in page.read_text(encoding="utf-8"):
                 print(f"\n{page} holds another table; `make readme` writes this one into it.")
     except (OSError, ValueError, KeyError) as error:
