@@ -201,10 +201,7 @@ CHANGES = {
         "empty": (lambda: spoil("figures/plot.pdf", b""), "UNREADABLE .*it is empty"),
     },
     "figures/plot.csv": {
-        "inside": (
-            lambda: change("figures/plot.csv", "1.5", "1.5000000001"),
-            "numbers agree .*1.5000000001 for 1.5",
-        ),
+        "inside": (lambda: change("figures/plot.csv", "1.5", "1.5000000001"), "numbers agree .*1.5000000001 for 1.5"),
         "outside": (
             lambda: change("figures/plot.csv", "1.5", "1.50001"),
             r"DIFFERS .*\(value, row 1: 1.50001 for 1.5,",
