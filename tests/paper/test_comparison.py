@@ -65,7 +65,10 @@ def test_the_bound_is_a_bound(results):
 def test_validation_is_not_seen(method, study, recordings):
     train, fresh = recordings
     job = {"method": method, "input": "torque", "noise": 0.0, "smoothed": False, "fraction": 1.0}
-    other = {name: r.with_data(r.states[:, ::-1], r.inputs[:, ::-1] * 2) for name, r in fresh.items()}
+    other = {
+        name: recording.with_data([recording.states[0, ::-1]], [recording.inputs[0, ::-1] * 2])
+        for name, recording in fresh.items()
+    }
     one, two = (comparison.case(study, train, unseen, None, job) for unseen in (fresh, other))
     assert one["tuning"] == two["tuning"] and one["parameters"] == two["parameters"] and one["scores"] != two["scores"]
 

@@ -15,6 +15,7 @@ from tras.paper import claims, errata, lookups, readings, tables
 from tras.paper.lookups import Lacking, Sources, number
 from tras.twin_rotor.plant import PlantParameters
 from tras.workflow import files, page
+from tras.workflow.page import escape
 
 _SIGNS = dict(zip(claims.VERDICTS, (("✓", "reproduced"), ("◐", "named"), ("✗", "not"), ("?", "uncheckable"))))
 _ANEW = "delete it, and make all makes it anew."
@@ -77,7 +78,7 @@ def _figure(spec, sources, inline):
 
 def _table(spec, sources, inline):
     head, rows, keys = lookups.table(spec, sources)
-    head, *rows = (list(map(page.escape, row)) for row in (head, *rows))
+    head, *rows = (list(map(escape, row)) for row in (head, *rows))
     return page.table(head, rows, inline(spec["caption"]), keys=keys)
 
 
@@ -108,18 +109,18 @@ def _readings(spec, _, inline):
 def _plant(spec, _, inline):
     values, rows = PlantParameters().as_dict(), []
     for name, (symbol, unit) in spec["symbols"].items():
-        rows.append([inline(symbol), number(values[name], ".6g"), page.escape(unit)])
+        rows.append([inline(symbol), number(values[name], ".6g"), escape(unit)])
     return page.table(["symbol", "value", "unit"], rows, inline(spec["caption"]))
 
 
 def _verdict(row):
     sign, kind = _SIGNS.get(row["verdict"], ("?", "uncheckable"))
-    return f'<span class="verdict {kind}"><span aria-hidden="true">{sign}</span> {page.escape(row["verdict"])}</span>'
+    return f'<span class="verdict {kind}"><span aria-hidden="true">{sign}</span> {escape(row["verdict"])}</span>'
 
 
 def _claims(spec, sources, inline):
     """All claims: in short with ``table: true``, each with its evidence without."""
-    path, e = sources.path("data/claims.csv"), page.escape
+    path = sources.path("data/claims.csv")
     rows = tables.read(path)
     try:
         rows = [{name: row[name].strip() for name in claims.COLUMNS} for row in rows]
@@ -127,26 +128,27 @@ def _claims(spec, sources, inline):
     except (KeyError, AttributeError, ValueError):
         raise ValueError(f"{path} is not the table of claims: {_ANEW}") from None
     if spec.get("table"):
-        links = [f'<a href="#claim-{e(row["claim"])}">{e(row["claim"])}</a>' for row in rows]
-        cells = [[link, e(row["statement"]), _verdict(row)] for link, row in zip(links, rows)]
+        links = [f'<a href="#claim-{escape(row["claim"])}">{escape(row["claim"])}</a>' for row in rows]
+        cells = [[link, escape(row["statement"]), _verdict(row)] for link, row in zip(links, rows)]
         return page.table(["claim", "the paper says", "verdict"], cells, inline(spec["caption"]), kind="short")
     return "".join(_claim(row) for row in rows)
 
 
 def _claim(row):
-    e, figure = page.escape, Path(row["figure"]).stem
+    text = {name: escape(row[name]) for name in claims.COLUMNS}
     value, low, high = (number(row[name], ".4g") for name in ("value", "low", "high"))
-    span = f" ({low} to {high})" if "–" not in (low, high) and low != high else ""
-    parts = [
-        f"<h3>{e(row['claim'])}: {e(row['statement'])}</h3>",
-        f"<p>{_verdict(row)}</p>",
-        f"<p>Reading: {e(row['reading'])}.</p>" if row["reading"] else "",
-        f"<p>{e(_sentence(row['quantity']))}: <strong>{e(value + span)}</strong>.</p>" if row["quantity"] else "",
-        f"<p>{e(_sentence(row['evidence']))}.</p>",
-        f'<p class="details">Figure: <a href="#fig-{e(figure)}">{e(row["figure"])}</a>.</p>' if figure else "",
-        f'<p class="details">Made by <code>{e(row["command"])}</code>.</p>',
-    ]
-    return f'<article id="claim-{e(row["claim"])}">\n' + "\n".join(filter(None, parts)) + "\n</article>\n"
+    value += f" ({low} to {high})" if "–" not in (low, high) and low != high else ""
+    parts = [f"<h3>{text['claim']}: {text['statement']}</h3>", f"<p>{_verdict(row)}</p>"]
+    if row["reading"]:
+        parts.append(f"<p>Reading: {text['reading']}.</p>")
+    if row["quantity"]:
+        parts.append(f"<p>{_sentence(text['quantity'])}: <strong>{escape(value)}</strong>.</p>")
+    parts.append(f"<p>{_sentence(text['evidence'])}.</p>")
+    if row["figure"]:
+        link = f'<a href="#fig-{escape(Path(row["figure"]).stem)}">{text["figure"]}</a>'
+        parts.append(f'<p class="details">Figure: {link}.</p>')
+    parts.append(f'<p class="details">Made by <code>{text["command"]}</code>.</p>')
+    return f'<article id="claim-{text["claim"]}">\n' + "\n".join(parts) + "\n</article>\n"
 
 
 def _sentence(text):
@@ -158,18 +160,18 @@ def _provenance(spec, sources, inline):
     paths = [path for path in sorted(sources.build.glob("[0-9]*.json")) if path.with_suffix(".ipynb").is_file()]
     if not paths:
         raise Lacking(f"no stage has left a record beside its executed notebook: {sources.command} runs them.")
-    e, rows, facts = page.escape, [], {}
+    rows, facts = [], {}
     for stage, record in ((path.stem, lookups.record(path)) for path in paths):
         git = record.get("git") or {}
         revision = (git.get("revision") or "unknown")[:12] + (", with changes" if git.get("dirty") else "")
-        seconds = number(record.get("seconds"), ".1f")
-        rows.append([e(stage), f"<code>{e(revision)}</code>", e(record.get("started", "–")), e(seconds)])
+        started, seconds = record.get("started", "–"), number(record.get("seconds"), ".1f")
+        rows.append([escape(stage), f"<code>{escape(revision)}</code>", escape(started), escape(seconds)])
         for name, value in _environment(record).items():
             facts.setdefault(name, {}).setdefault(str(value), []).append(stage)
     cells = []
     for name, stages in facts.items():
         differing = "; ".join(f"{value} ({', '.join(names)})" for value, names in stages.items())
-        cells.append([e(name), e(differing if len(stages) > 1 else next(iter(stages)))])
+        cells.append([escape(name), escape(differing if len(stages) > 1 else next(iter(stages)))])
     stages = page.table(["stage", "git revision", "started", "seconds"], rows, inline(spec["stages"]))
     return stages + page.table(["what", "version or value"], cells, inline(spec["environment"]), kind="prose")
 
