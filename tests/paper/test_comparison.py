@@ -6,7 +6,7 @@ import pytest
 from sklearn.base import clone
 
 import tras
-from tras import plotting as figures
+from tras import plotting
 from tras.paper import comparison, pages, tables
 from tras.paper.figures import comparison as figures_comparison
 
@@ -15,11 +15,11 @@ FEW = ("DMDc", "Koopman, the paper's", "grey box")
 
 @pytest.fixture(scope="module")
 def recordings():
-    made = [
+    train, multisine, chirp = [
         tras.simulate_closed_loop(tras.multisine(15, 0.01, [2.0, 4.0], [0.6, 1.2], np.random.default_rng(seed)), 0.01)
         for seed in (1, 2, 3)
     ]
-    return made[0], {"multisine 2": made[1], "chirp": made[2]}
+    return train, {"multisine 2": multisine, "chirp": chirp}
 
 
 @pytest.fixture(scope="module")
@@ -41,9 +41,7 @@ def test_every_method_has_as_many_settings_and_each_is_another():
 @pytest.mark.slow
 def test_every_case_is_there(results, study):
     cases = comparison.jobs(study)
-    assert (
-        len(cases) == 2 * 3 - 1 + 3 * 3
-    )  # without the grey box on references; noise twice and one fraction for the torque
+    assert len(cases) == 2 * 3 - 1 + 3 * 3  # no grey box on references; noise twice and one fraction for the torque
     scores = results["scores"]
     of_one = scores.groupby(["method", "input"]).size()
     assert len(of_one) == 5 and (of_one == 2 * (2 * 3 + 1)).all()  # angles x (recordings x horizons and one free run)
@@ -59,9 +57,7 @@ def test_the_chosen_setting_is_the_best_one(results):
 
 
 def test_the_bound_is_a_bound(results):
-    scores = (
-        results["scores"][lambda t: (t["input"] == "torque") & (t["horizon"] == 1.0)].groupby("method")["nrmse"].max()
-    )
+    scores = results["scores"].query("input == 'torque' and horizon == 1").groupby("method")["nrmse"].max()
     assert scores.idxmin() == "grey box" and scores["grey box"] < 1e-4
 
 
@@ -70,12 +66,10 @@ def test_validation_is_not_seen(method, study, recordings):
     train, fresh = recordings
     job = {"method": method, "input": "torque", "noise": 0.0, "smoothed": False, "fraction": 1.0}
     other = {
-        name: tras.Recording(
-            r.states[:, ::-1], r.inputs[:, ::-1] * 2, r.dt, state_names=r.state_names, input_names=r.input_names
-        )
-        for name, r in fresh.items()
+        name: recording.with_data([recording.states[0, ::-1]], [recording.inputs[0, ::-1] * 2])
+        for name, recording in fresh.items()
     }
-    one, two = comparison.case(study, job, train, fresh), comparison.case(study, job, train, other)
+    one, two = (comparison.case(study, train, unseen, None, job) for unseen in (fresh, other))
     assert one["tuning"] == two["tuning"] and one["parameters"] == two["parameters"] and one["scores"] != two["scores"]
 
 
@@ -127,11 +121,8 @@ def test_diverged_predictions_are_counted_at_their_horizon(study, recordings):
             states[0, 100:] = np.nan
             return states
 
-    rows = (
-        pd.DataFrame(comparison.score(study, Lost(), recordings[1]))
-        .query("recording == 'multisine 2' and angle == 'yaw'")
-        .set_index("horizon")
-    )
+    rows = pd.DataFrame(comparison.score(study, Lost(), recordings[1]))
+    rows = rows.query("recording == 'multisine 2' and angle == 'yaw'").set_index("horizon")
     assert rows["diverged"].to_dict() == {0.01: 0, 0.5: 0, 1.0: 1, 15.0: 1}
     assert np.isnan(rows.loc[15.0, "nrmse"]) and rows.loc[1.0, "nrmse"] == 0 and rows.loc[1.0, "windows"] == 15
 
@@ -148,14 +139,12 @@ def test_unknown_names_are_named(options, sentence):
 def test_a_method_that_cannot_be_fitted_says_why(study, recordings, monkeypatch):
     monkeypatch.setitem(comparison.METHODS, "DMDc", [comparison.DMDc(-1.0)])
     job = {"method": "DMDc", "input": "torque", "noise": 0.0, "smoothed": False, "fraction": 1.0}
-    assert "alpha is -1.0" in comparison.case(study, job, *recordings)["failure"]
+    assert "alpha is -1.0" in comparison.case(study, *recordings, None, job)["failure"]
 
 
 def test_figures_hold_every_method(results):
-    horizon, amount = (
-        figures_comparison.horizon_table(results["scores"]),
-        figures_comparison.data_table(results["data"]),
-    )
+    horizon = figures_comparison.horizon_table(results["scores"])
+    amount = figures_comparison.data_table(results["data"])
     window = horizon[horizon["horizon"] == 1.0]
     for draw, table in (
         (figures_comparison.horizon_figure, horizon),
@@ -166,11 +155,8 @@ def test_figures_hold_every_method(results):
         for panel in figure.axes:
             names = [text.get_text().split(" (")[0] for text in panel.texts]
             assert set(names) == (set(FEW) if "reference" not in panel.get_title(loc="left") else set(FEW[:2]))
-    assert (
-        len(set(figures_comparison.STYLES.values()))
-        == len(comparison.METHODS)
-        == len({style[0] for style in figures_comparison.STYLES.values()})
-    )
+    styles = figures_comparison.STYLES.values()
+    assert len(set(styles)) == len(comparison.METHODS) == len({style[0] for style in styles})
 
 
 @pytest.mark.parametrize(
@@ -189,19 +175,10 @@ def test_the_readme_holds_the_table(results, tmp_path, capsys):
     call = ["comparison", f"--data={tmp_path}", f"--pages={tmp_path}"]
     assert pages.main([*call, "--write"]) == 0
     text = readme.read_text()
-    assert (
-        text.count("\n| DMDc | 28 |") == 1
-        and "grey box, the plant's own equations" in text
-        and text.endswith("b\n")
-        and "| grey box" not in text
-    )
-    error = (
-        results["scores"]
-        .query(
-            "method == 'DMDc' and input == 'torque' and horizon == 1 and angle == 'yaw' and recording == 'multisine 2'"
-        )["nrmse"]
-        .iloc[0]
-    )
+    assert text.count("\n| DMDc | 28 |") == 1 and text.endswith("b\n")
+    assert "grey box, the plant's own equations" in text and "| grey box" not in text
+    rows = results["scores"].query("method == 'DMDc' and input == 'torque' and horizon == 1")
+    error = rows.query("angle == 'yaw' and recording == 'multisine 2'")["nrmse"].iloc[0]
     assert f"| {error:.3g} / " in text
     assert pages.main(call) == 0 and "| DMDc | 28 |" in capsys.readouterr().out
     readme.write_text("no markers")
@@ -213,13 +190,12 @@ def test_the_readme_holds_the_table(results, tmp_path, capsys):
 
 def test_lost_predictions_stand_in_the_table():
     about = {"method": "M", "input": "torque", "recording": "multisine 2", "parameters": "7"}
-    rows = [{**about, "horizon": h, "angle": angle, "nrmse": "" if h == "500" else "1.5", "windows": "4", "diverged": "4" if h == "500" else "1"}
-            for h in ("6", "500") for angle in ("yaw", "pitch")]  # fmt: skip
+    window = {"horizon": "6", "nrmse": "1.5", "windows": "4", "diverged": "1"}
+    free = {"horizon": "500", "nrmse": "", "windows": "4", "diverged": "4"}
+    rows = [{**about, **kind, "angle": angle} for kind in (window, free) for angle in ("yaw", "pitch")]
     assert "| M | 7 | - | 1.5 / 1.5 (1 of 4 diverged) | - / - (4 of 4 diverged) |" in tables.methods_markdown(rows)
 
 
 def test_as_many_windows_as_metrics_count(results):
-    assert (
-        figures.WIDTH < figures_comparison.WIDE
-        and (results["scores"]["diverged"] <= results["scores"]["windows"]).all()
-    )
+    assert plotting.WIDTH < figures_comparison.WIDE
+    assert (results["scores"]["diverged"] <= results["scores"]["windows"]).all()

@@ -15,18 +15,15 @@ ALL = [(option, choice) for option in OPTIONS for choice in readings.choices(opt
 def test_the_defaults_are_the_first_choices():
     assert Readings().model_dump() == {option: next(iter(meanings)) for option, (_, meanings) in OPTIONS.items()}
     assert Readings().model_dump() == {
-        "input": "reference", "frequency_unit": "rad/s", "dictionary": "gaussian", "state": "four_states", "horizon": "window",
-        "nrmse_range": "validation_set", "velocity_term": "corrected", "angle_names": "words",
+        "input": "reference", "frequency_unit": "rad/s", "dictionary": "gaussian", "state": "four_states",
+        "horizon": "window", "nrmse_range": "validation_set", "velocity_term": "corrected", "angle_names": "words",
     }  # fmt: skip
 
 
 @pytest.mark.parametrize("option, choice", ALL)
 def test_every_choice_is_taken_and_remembered(option, choice):
-    assert (
-        getattr(Readings(**{option: choice}), option)
-        == choice
-        == getattr(Readings().replaced(**{option: choice}), option)
-    )
+    for reading in (Readings(**{option: choice}), Readings().replaced(**{option: choice})):
+        assert getattr(reading, option) == choice
 
 
 WRONG = [
@@ -43,25 +40,25 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize("given, sentence", WRONG)
-def test_what_does_not_exist_is_refused_in_one_sentence(given, sentence):
-    for call in (lambda: Readings(**given), lambda: Readings().replaced(**given)):
+@pytest.mark.parametrize("choices, sentence", WRONG)
+def test_what_does_not_exist_is_refused_in_one_sentence(choices, sentence):
+    for call in (lambda: Readings(**choices), lambda: Readings().replaced(**choices)):
         with pytest.raises(ReadingError, match=re.escape(sentence)) as caught:
             call()
         assert isinstance(caught.value, ValueError) and "\n" not in str(caught.value)
 
 
 def test_frozen():
-    chosen = Readings()
+    reading = Readings()
     with pytest.raises(ReadingError, match="input cannot be changed in place"):
-        chosen.input = "torque"
-    assert chosen.input == "reference" and hash(chosen) == hash(Readings())
+        reading.input = "torque"
+    assert reading.input == "reference" and hash(reading) == hash(Readings())
 
 
 def test_yaml_there_and_back(tmp_path):
-    chosen = Readings(input="torque", frequency_unit="Hz", dictionary="monomials3", angle_names="symbols")
-    (tmp_path / "readings.yaml").write_text(yaml.safe_dump(chosen.model_dump()))
-    assert readings.read_yaml(tmp_path / "readings.yaml") == chosen
+    reading = Readings(input="torque", frequency_unit="Hz", dictionary="monomials3", angle_names="symbols")
+    (tmp_path / "readings.yaml").write_text(yaml.safe_dump(reading.model_dump()))
+    assert readings.read_yaml(tmp_path / "readings.yaml") == reading
 
 
 def test_yaml_by_section_and_with_defaults(tmp_path):
@@ -109,10 +106,8 @@ def test_the_command_writes_the_table_and_names_what_is_missing(tmp_path, capsys
     assert document.read_text() == f"before\n{begin}\n{readings.markdown()}\n{end}\nafter\n"
     document.write_text("no markers")
     assert pages.main(call) == 2 == pages.main([*call[:2], f"--pages={tmp_path / 'none'}"])
-    assert (
-        "paper.md must hold the lines" in (errors := capsys.readouterr().err)
-        and "none/docs/paper.md cannot be read" in errors
-    )
+    errors = capsys.readouterr().err
+    assert "paper.md must hold the lines" in errors and "none/docs/paper.md cannot be read" in errors
 
 
 def test_the_documentation_holds_the_table():

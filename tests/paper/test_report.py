@@ -1,5 +1,6 @@
-"""The report: nothing from the network, formulas as MathML, every number from a table, every sentence escaped; and in a browser."""
+"""The report: nothing from the network, formulas as MathML, numbers from tables, text escaped; and in a browser."""
 
+import itertools
 import json
 import re
 import shutil
@@ -19,7 +20,10 @@ from tras.workflow import files, page
 
 STORY = (files.project_root() / "docs" / "report.md").read_text(encoding="utf-8")
 DRAWN = re.findall(r"^name: (\w+)$", STORY, re.MULTILINE)
-SVG = '<svg xmlns="http://www.w3.org/2000/svg" width="252pt" height="144pt" viewBox="0 0 252 144"><rect width="200" height="100" fill="#06c" /></svg>'
+SVG = (
+    '<svg xmlns="http://www.w3.org/2000/svg" width="252pt" height="144pt" viewBox="0 0 252 144">'
+    '<rect width="200" height="100" fill="#06c" /></svg>'
+)
 HOSTILE = '<script>alert(1)</script> & "quotes" \x07 $x$ {{ data/claims.csv: claim }} **bold**'
 SHOWN_HOSTILE = HOSTILE.replace("\x07", "\ufffd")
 NS = "{http://www.w3.org/1999/xhtml}"
@@ -32,36 +36,16 @@ def write(path, columns, rows):
 
 def paper_tables(root, rng):
     """What 02 to 04 write, as far as the report reads it; returns the metrics."""
-    models = [source for source in tables.COLUMNS if source[0] != "paper"]
-    metrics = pd.DataFrame(
-        [
-            {
-                "kind": kind,
-                "horizon": horizon,
-                "input": source[0],
-                "model": source[1],
-                "recording": recording,
-                "angle": angle,
-            }
-            | {
-                "windows": 83,
-                "diverged": 0,
-                "enr": rng.uniform(0, 0.1),
-                "bfr": rng.uniform(90, 99),
-                "nrmse": rng.uniform(1, 9),
-            }
-            for kind, horizon in (("window", 6), ("free run", 500))
-            for source in models
-            for recording in ("multisine 2", "multisine 3")
-            for angle in ("yaw", "pitch")
-        ]
-    )
+    models, rows = [source for source in tables.COLUMNS if source[0] != "paper"], []
+    for kind, horizon in (("window", 6), ("free run", 500)):
+        for source, recording, angle in itertools.product(models, ("multisine 2", "multisine 3"), ("yaw", "pitch")):
+            scores = (rng.uniform(0, 0.1), rng.uniform(90, 99), rng.uniform(1, 9))
+            rows.append((kind, horizon, *source, recording, angle, 83, 0, *scores))
+    columns = "kind horizon input model recording angle windows diverged enr bfr nrmse"
+    metrics = pd.DataFrame(rows, columns=columns.split())
     columns = "input model N pairs condition spectral_radius disagreement_phidot"
-    write(
-        root / "data" / "identification.csv",
-        columns,
-        [(*model, 7 + n, 40000, 50.4 + n, 1 + n / 1000, 0.01 + n) for n, model in enumerate(models)],
-    )
+    rows = [(*model, 7 + n, 40000, 50.4 + n, 1 + n / 1000, 0.01 + n) for n, model in enumerate(models)]
+    write(root / "data" / "identification.csv", columns, rows)
     identification = pd.read_csv(root / "data" / "identification.csv")
     tables.comparison(metrics, identification).to_csv(root / "figures" / "table.csv", index=False)
     return metrics
@@ -70,13 +54,8 @@ def paper_tables(root, rng):
 def study_tables(root, rng):
     """What the studies write, small."""
     data, figures = root / "data", root / "figures"
-    cases = [
-        (noise, seed, method)
-        for noise in (0.0, 1.0)
-        for seed in (1, 2)
-        for method in ("plain", "refined")
-        if noise or method == "plain"
-    ]
+    cases = list(itertools.product((0.0, 1.0), (1, 2), ("plain", "refined")))
+    cases = [case for case in cases if case[0] or case[2] == "plain"]
     rows = [(*case, angle, rng.uniform(), 0, "") for case in cases for angle in ("yaw", "pitch")]
     rows[-1] = (*rows[-1][:4], np.nan, 0, "logarithm")
     write(data / "robustness_noise.csv", "noise seed method angle nrmse diverged failure", rows)
@@ -97,27 +76,22 @@ def study_tables(root, rng):
 
 def claim_rows():
     """One claim of each verdict; the last is hostile."""
-    row = {"statement": "it is so", "quantity": "an error (%)", "value": 1.2345678, "low": 1, "high": 2, "reading": "default", "evidence": "5 of 7",
-           "figure": "figures/horizon.png", "command": "make all"}  # fmt: skip
+    row = {
+        "statement": "it is so", "quantity": "an error (%)", "value": 1.2345678, "low": 1, "high": 2,
+        "reading": "default", "evidence": "5 of 7", "figure": "figures/horizon.png", "command": "make all",
+    }  # fmt: skip
     rows = [row | {"claim": f"C{i}", "verdict": verdict} for i, verdict in enumerate(claims.VERDICTS, 1)]
-    rows[-1] |= {
-        "statement": HOSTILE,
-        "evidence": HOSTILE,
-        "quantity": "",
-        "value": "",
-        "low": "",
-        "high": "",
-        "figure": "",
-        "reading": "",
-    }
+    rows[-1] |= dict.fromkeys(("statement", "evidence"), HOSTILE)
+    rows[-1] |= dict.fromkeys(("quantity", "value", "low", "high", "figure", "reading"), "")
     return rows
 
 
 def stage(root, name, **parameters):
     record = {
-        "parameters": parameters, "git": {"revision": "a" * 40, "dirty": False}, "python": "3.11.2", "packages": {"numpy": "2.4.6"},
-        "platform": "Linux <x>", "processor": "a processor", "instructions": ["avx", "fma"], "environment": "b" * 64,
-        "variables": {"OMP_NUM_THREADS": "1"}, "started": "2026-01-02T03:04:05+00:00", "seconds": 1.25,
+        "parameters": parameters, "git": {"revision": "a" * 40, "dirty": False}, "python": "3.11.2",
+        "packages": {"numpy": "2.4.6"}, "platform": "Linux <x>", "processor": "a processor",
+        "instructions": ["avx", "fma"], "environment": "b" * 64, "variables": {"OMP_NUM_THREADS": "1"},
+        "started": "2026-01-02T03:04:05+00:00", "seconds": 1.25,
     }  # fmt: skip
     (root / "paper" / f"{name}.json").write_text(json.dumps(record))
     (root / "paper" / f"{name}.ipynb").touch()
@@ -175,14 +149,8 @@ def parsed(text):
 
 
 def run(root, *more):
-    arguments = [
-        str(root / "report.html"),
-        f"--data={root / 'data'}",
-        f"--figures={root / 'figures'}",
-        f"--build={root / 'paper'}",
-        *more,
-    ]
-    return report.main(arguments), root / "report.html"
+    folders = [f"--{option}={root / name}" for option, name in zip(sources(root)._fields, ("data", "figures", "paper"))]
+    return report.main([str(root / "report.html"), *folders, *more]), root / "report.html"
 
 
 def text_of(element):
@@ -203,11 +171,11 @@ def cells(table):
     return [[text_of(cell) for cell in row] for row in table.iter(NS + "tr")]
 
 
-# --- the page ------------------------------------------------------------------------------------------------------------------
+# --- the page ---------------------------------------------------------------------------------------------------------
 
 
 def test_nothing_is_loaded_from_elsewhere(shown):
-    found = []
+    links = []
 
     class Parser(HTMLParser):
         def handle_starttag(self, tag, attributes):
@@ -215,11 +183,11 @@ def test_nothing_is_loaded_from_elsewhere(shown):
             for name, value in attributes:
                 assert not name.startswith("on"), name
                 if name in ("src", "href", "srcset", "data", "poster"):
-                    found.append((tag, name, value))
+                    links.append((tag, name, value))
 
     Parser().feed(shown)
-    assert sum(tag == "img" for tag, _, _ in found) == len(DRAWN)
-    for tag, name, value in found:
+    assert sum(tag == "img" for tag, _, _ in links) == len(DRAWN)
+    for tag, name, value in links:
         assert value.startswith("data:") or tag == "a" and value.startswith(("#", "https://")), (tag, name, value[:60])
     assert not re.search(r"url\(|@import", page.STYLE)
 
@@ -227,18 +195,14 @@ def test_nothing_is_loaded_from_elsewhere(shown):
 def test_formulas_are_mathml(shown, tree):
     """Browsers draw an element with a wrong number of parts as an error, or in a row."""
     formulas = list(tree.iter(MATH + "math"))
-    written = len(re.findall(r"\$\$[^$]+\$\$", STORY)) + len(
-        re.findall(r"\$[^$\n]+\$", re.sub(r"\$\$[^$]+\$\$", "", STORY))
-    )
-    assert len(formulas) >= written > 40
-    parts = dict.fromkeys(("msup", "msub", "mover", "munder", "mfrac", "mroot"), 2) | dict.fromkeys(
-        ("msubsup", "munderover"), 3
-    )
+    inline, displayed = re.subn(r"\$\$[^$]+\$\$", "", STORY)
+    assert len(formulas) >= displayed + len(re.findall(r"\$[^$\n]+\$", inline)) > 40
+    parts = dict.fromkeys(("msup", "msub", "mover", "munder", "mfrac", "mroot"), 2)
+    parts |= dict.fromkeys(("msubsup", "munderover"), 3)
     for formula in formulas:
         for element in formula.iter():
-            assert len(element) == parts.get(element.tag.removeprefix(MATH), len(element)), ElementTree.tostring(
-                formula, "unicode"
-            )
+            number = parts.get(element.tag.removeprefix(MATH), len(element))
+            assert len(element) == number, ElementTree.tostring(formula, "unicode")
     left = text_of(tree.find(f"{NS}body/{NS}main")).replace(SHOWN_HOSTILE, "")  # what a file holds is shown as it is
     assert "$" not in left and not re.search(r"\\[a-zA-Z]|\{\{|\}\}", left)
     for number in ("(7)", "(14)", "(15)", "(18)", "(19)", "(20)", "(21)"):
@@ -253,34 +217,24 @@ def test_every_claim_stands_there_with_its_verdict_in_words(tree):
         for text in (text_of(article), " ".join(line)):
             assert expected in text and re.search(rf"[✓◐✗?] {row['verdict']}", text), text
     assert "1.235 (1 to 2)" in text_of(by_id(tree, "claim-C1")) and "5 of 7" in text_of(by_id(tree, "claim-C1"))
-    counts = (
-        "Of 4: reproduced 1, reproduced only under a named reading of the text 1, not reproduced 1, not checkable 1."
-    )
-    assert counts in text_of(after(tree, "verdicts", "caption"))
+    counts = "reproduced 1, reproduced only under a named reading of the text 1, not reproduced 1, not checkable 1."
+    assert f"Of 4: {counts}" in text_of(after(tree, "verdicts", "caption"))
 
 
 def test_the_table_paper_against_ours_is_that_of_tables(whole, tree):
     lines = tables.markdown(tables.read(whole[0] / "figures" / "table.csv")).splitlines()
-    assert cells(after(tree, "paper-against-ours", "table")) == [
-        line[2:-2].split(" | ") for line in lines if "---" not in line
-    ]
+    expected = [line[2:-2].split(" | ") for line in lines if "---" not in line]
+    assert cells(after(tree, "paper-against-ours", "table")) == expected
 
 
 def test_numbers_in_sentences_are_those_of_the_metrics(whole, tree):
     """Medians computed here a second time from what `tables.comparison` was given."""
-    chosen = whole[1][whole[1]["kind"] == "window"]
+    medians = whole[1][whole[1]["kind"] == "window"].groupby(["input", "model", "angle"])["nrmse"].median()
     points = [text_of(point) for point in after(tree, "in-short", "ul")]
-    pairs = (
-        [("reference", "gaussian"), ("reference", "linear")],
-        [("torque", "gaussian"), ("torque", "linear")],
-        [("torque", "mechanical")],
-    )
-    for point, sources_of, digits in zip(points, pairs, (3, 3, 2), strict=True):
-        expected = [
-            chosen[(chosen["input"] == i) & (chosen["model"] == m) & (chosen["angle"] == angle)]["nrmse"].median()
-            for i, m in sources_of
-            for angle in ("yaw", "pitch")
-        ]
+    pairs = [(source, model) for source in ("reference", "torque") for model in ("gaussian", "linear")]
+    pairs = (pairs[:2], pairs[2:], [("torque", "mechanical")])
+    for point, models, digits in zip(points, pairs, (3, 3, 2), strict=True):
+        expected = [medians[*model, angle] for model in models for angle in ("yaw", "pitch")]
         assert re.findall(r"([\d.]+) %", point) == [f"{value:#.{digits}g}" for value in expected]
     assert "4.0589 % for yaw and 5.5889 % for pitch" in text_of(tree)
     assert "0.2 rad/s and 1.222 rad in pitch, 0.8 rad/s and 3.142 rad in yaw" in text_of(tree)
@@ -292,36 +246,28 @@ def test_summaries_of_studies(whole, tree):
     assert head == ["angle", "fit", "noise 0 %", "noise 1 %"]
     for angle, method, *values in rows:
         for level, value in zip((0, 1), values, strict=True):
-            own = noise[(noise["angle"] == angle) & (noise["method"] == method) & (noise["noise"] == level)]["nrmse"]
-            assert value == (f"{own.median():#.3g}" if own.notna().any() else "–")
+            same = (noise["angle"] == angle) & (noise["method"] == method) & (noise["noise"] == level)
+            median = noise[same]["nrmse"].median()
+            assert value == ("–" if np.isnan(median) else f"{median:#.3g}")
     assert len(rows) == 4
     assert cells(after(tree, "length-of-the-data", "table"))[1] == ["0", "linear", "7", "95%", "0%"]
     assert "0.75 %, with noise of 1 % 2 %" in text_of(after(tree, "the-rigs-parameters", "p"))
     assert "without noise 25% of the stretches" in text_of(after(tree, "length-of-the-data", "p"))
     assert cells(after(tree, "eigenpairs", "table"))[1] == ["linear", "2", "1", "0.25"]
-    assert cells(after(tree, "the-readings-nearest-to-the-paper", "table"))[1][-4:] == [
-        "words",
-        "4.00",
-        "5.00",
-        "0.123",
-    ]
+    nearest = cells(after(tree, "the-readings-nearest-to-the-paper", "table"))[1]
+    assert nearest[-4:] == ["words", "4.00", "5.00", "0.123"]
 
 
 def test_provenance_is_that_of_the_records(tree):
-    assert cells(after(tree, "where-the-numbers-come-from", "table"))[1] == [
-        "01_data_generation",
-        "a" * 12,
-        "2026-01-02T03:04:05+00:00",
-        "1.2",
-    ]
+    row = cells(after(tree, "where-the-numbers-come-from", "table"))[1]
+    assert row == ["01_data_generation", "a" * 12, "2026-01-02T03:04:05+00:00", "1.2"]
     assert "Linux <x>" in text_of(tree) and "avx, fma" in text_of(tree)
 
 
 def test_a_record_without_its_notebook_is_no_run(copy):
     (copy / "paper" / "02_identification.ipynb").unlink()
-    assert (
-        len(cells(after(parsed(report.report(STORY, sources(copy))[0]), "where-the-numbers-come-from", "table"))) == 2
-    )
+    tree = parsed(report.report(STORY, sources(copy))[0])
+    assert len(cells(after(tree, "where-the-numbers-come-from", "table"))) == 2
 
 
 def test_headings_that_are_alike_have_names_of_their_own():
@@ -344,33 +290,34 @@ def test_the_page_can_be_walked_and_read_aloud(tree):
         assert len(image.get("alt")) > 30 and int(image.get("width")) == 336 and int(image.get("height")) == 192
     for table in tree.iter(NS + "table"):
         assert text_of(table.find(NS + "caption"))
-        assert all(
-            cell.get("scope") == ("col" if cell in list(table.find(f"{NS}thead/{NS}tr")) else "row")
-            for cell in table.iter(NS + "th")
-        )
+        head = list(table.find(f"{NS}thead/{NS}tr"))
+        assert all(cell.get("scope") == ("col" if cell in head else "row") for cell in table.iter(NS + "th"))
 
 
-# --- what can be wrong ---------------------------------------------------------------------------------------------------------
+# --- what can be wrong ------------------------------------------------------------------------------------------------
 
 
 def test_what_comes_from_files_is_text(shown, tree):
     assert "<script" not in shown and "<b>" not in shown
-    assert text_of(by_id(tree, "claim-C4")).count("<script>alert(1)</script>") == 2
-    assert "**bold**" in text_of(by_id(tree, "claim-C4")) and "{{ data/claims.csv: claim }}" in text_of(
-        by_id(tree, "claim-C4")
-    )
+    text = text_of(by_id(tree, "claim-C4"))
+    assert text.count("<script>alert(1)</script>") == 2
+    assert "**bold**" in text and "{{ data/claims.csv: claim }}" in text
 
 
 @given(st.text())
 def test_escaped_text_is_what_it_was(text):
     element = ElementTree.fromstring(f'<a b="{page.escape(text)}">{page.escape(text)}</a>'.encode("utf-8", "replace"))
-    kept = re.sub("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]", "\ufffd", text).encode("utf-8", "replace").decode()
-    assert (element.text or "") == kept.replace("\r\n", "\n").replace("\r", "\n")
+    expected = re.sub("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]", "\ufffd", text).encode("utf-8", "replace").decode()
+    assert (element.text or "") == expected.replace("\r\n", "\n").replace("\r", "\n")
 
 
 @pytest.mark.parametrize("name, heading", [
-    ("data/claims.csv", "Verdicts"), ("figures/table.csv", "In short"), ("figures/robustness_noise.svg", "Measurement noise"),
-    ("data/robustness_sampling.csv", "Sampling time"), ("data/parameters.csv", "The rig's parameters"), ("figures/horizon.svg", "How the error grows"),
+    ("data/claims.csv", "Verdicts"),
+    ("figures/table.csv", "In short"),
+    ("figures/robustness_noise.svg", "Measurement noise"),
+    ("data/robustness_sampling.csv", "Sampling time"),
+    ("data/parameters.csv", "The rig's parameters"),
+    ("figures/horizon.svg", "How the error grows"),
     ("build/01_data_generation.json", "The experiment"),
 ])  # fmt: skip
 @pytest.mark.slow
@@ -378,11 +325,8 @@ def test_a_missing_file_is_one_sentence(copy, capsys, name, heading):
     (copy / name.replace("build/", "paper/")).unlink()
     code, written = run(copy)
     output = capsys.readouterr()
-    assert (
-        code == 0
-        and f"not shown: {name} is not there: `make all` makes it." in output.err
-        and "Traceback" not in output.err
-    )
+    assert code == 0 and "Traceback" not in output.err
+    assert f"not shown: {name} is not there: `make all` makes it." in output.err
     text = written.read_text(encoding="utf-8")
     section = text.split(f">{page.escape(heading)}</h")[-1].split("<h2")[0].split("<h3")[0]
     sentence = text_of(ElementTree.fromstring(re.search('<p class="lacking">.*?</p>', section)[0]))
@@ -498,14 +442,11 @@ def test_the_command_names_the_profile(small):
 def test_what_is_looked_up_is_text_and_formulas_stay(small):
     write(small.data / "z.csv", "k", [("**a** <b> `c` $d$ {{ e }}",)])
     html = page.converter(None, [])(lookups.render('$\\frac{{a}}{{b}}$ {{ value("data/z.csv", "k") }}', small))
-    assert (
-        text_of(ElementTree.fromstring(html)).endswith("**a** <b> `c` $d$ {{ e }}")
-        and html.count("<math") == 1
-        and "<mfrac>" in html
-    )
+    assert text_of(ElementTree.fromstring(html)).endswith("**a** <b> `c` $d$ {{ e }}")
+    assert html.count("<math") == 1 and "<mfrac>" in html
 
 
-# --- in a browser --------------------------------------------------------------------------------------------------------------
+# --- in a browser -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("width", [390, 1200])
@@ -521,9 +462,8 @@ def test_in_a_browser_without_network(browser, whole, shown, width):
     assert [url for url in requested if not url.startswith("data:")] == [written.as_uri()] and complaints == []
     assert opened.evaluate("[...document.images].filter(i => !(i.complete && i.naturalWidth > 0)).length") == 0
     drawn = opened.evaluate("[...document.images].map(i => i.getBoundingClientRect().width)")
-    assert len(drawn) == len(DRAWN) and all(
-        340 < size <= width for size in drawn
-    )  # wider than they are, as wide as there is room
+    # Wider than they are, as wide as there is room.
+    assert len(drawn) == len(DRAWN) and all(340 < size <= width for size in drawn)
     heights = opened.evaluate("[...document.querySelectorAll('math')].map(m => m.getBoundingClientRect().height)")
     assert len(heights) > 40 and min(heights) > 5
     fraction, part = (

@@ -25,6 +25,7 @@ TABLE = "name,count,value\nfirst,3,1.5\nsecond,4,\nthird,5,-2e-05\n"
 rng = np.random.default_rng(0)
 RUN = rng.normal(size=(900, 3))
 LONG = rng.normal(size=(5000, 3))
+SQUARE = np.arange(400.0).reshape(20, 20)
 
 
 @pytest.fixture(scope="module")
@@ -71,12 +72,7 @@ def write_run(values, dt=0.01):
 
 
 def write_model(header='{"kind": "K", "strength": 0.1, "versions": {"numpy": "1"}}', **changes):
-    arrays = {
-        "K": np.arange(400.0).reshape(20, 20),
-        "noise": np.array([1e-15, 3e-16]),
-        "rank": np.array(3),
-        "poles": np.array([1 + 2j]),
-    }
+    arrays = {"K": SQUARE, "noise": np.array([1e-15, 3e-16]), "rank": np.array(3), "poles": np.array([1 + 2j])}
     np.savez("data/model.npz", header=np.array(header), **(arrays | changes))
 
 
@@ -126,71 +122,110 @@ def test_the_manifest_is_what_sha256sum_reads(project):
     subprocess.run(["sha256sum", "--check", "--strict", "--quiet", "reference/SHA256SUMS"], check=True)
 
 
-# What is done, to which artefact, the exit status, and the line about it.
+def edit(old, new):
+    change("data/table.csv", old, new)
+
+
+def spoil(name, content=b"junk"):
+    Path(name).write_bytes(content)
+
+
+def append(name):
+    Path(name).open("ab").write(b" ")
+
+
+OTHER_VERSION = '{"kind": "K", "strength": 0.1, "versions": {"numpy": "2"}}'
+# Artefact -> what is done to it, and the line about it.
 CHANGES = {
-    "inside": (lambda: change("data/table.csv", "1.5", "1.5000000001"), "data/table.csv", 0, "numbers agree .*1.5000000001 for 1.5"),
-    "outside": (lambda: change("data/table.csv", "1.5", "1.50001"), "data/table.csv", 1, r"DIFFERS .*\(value, row 1: 1.50001 for 1.5, .* times what is allowed"),
-    "small beside the column's largest": (lambda: change("data/table.csv", "-2e-05", "-2.000005e-05"), "data/table.csv", 0, "numbers agree"),
-    "the sign": (lambda: change("data/table.csv", "-2e-05", "2e-05"), "data/table.csv", 1, "DIFFERS .*value, row 3: 2e-05 for -2e-05"),
-    "a whole number by one": (lambda: change("data/table.csv", "4", "5"), "data/table.csv", 1, r"DIFFERS .*\(count, row 2: 5 for 4\)"),
-    "text": (lambda: change("data/table.csv", "second", "Second"), "data/table.csv", 1, "DIFFERS .*name, row 2: Second for second"),
-    "a number for none": (lambda: change("data/table.csv", "4,", "4,0"), "data/table.csv", 1, "DIFFERS .*value, row 2: 0 for nan"),
-    "infinity": (lambda: change("data/table.csv", "1.5", "inf"), "data/table.csv", 1, "DIFFERS .*inf for 1.5"),
-    "a row less": (lambda: change("data/table.csv", "third,5,-2e-05\n", ""), "data/table.csv", 1, "name has 2 rows, the reference 3"),
-    "another column": (lambda: change("data/table.csv", "count", "number"), "data/table.csv", 1, "DIFFERS .*column count is only in the reference"),
-    "a line cut": (lambda: Path("data/table.csv").write_text(TABLE[:-8]), "data/table.csv", 1, "UNREADABLE .*do not all have 3 fields"),
-    "empty": (lambda: Path("data/table.csv").write_text(""), "data/table.csv", 1, "UNREADABLE .*it is empty"),
-    "long table, inside": (lambda: write_long(nudged(LONG, 0, 1e-10)), "data/long.csv", 0, "numbers agree .*a, row 1"),
-    "long table, outside": (lambda: write_long(nudged(LONG, 4999, 1e-4)), "data/long.csv", 1, "DIFFERS .*a, row 5000"),
-    "long table, everywhere": (lambda: write_long(LONG * [1, 1.001, 1]), "data/long.csv", 1, "DIFFERS .*b, row .* and 2.. more in this column"),
-    "long table, a row less": (lambda: write_long(LONG[:-1]), "data/long.csv", 1, "DIFFERS .*a has 4999 rows, the reference 5000"),
-    "recording, inside": (lambda: write_run(RUN * (1 + 1e-11)), "data/run.nc", 0, "numbers agree"),
-    "recording, outside": (lambda: write_run(nudged(RUN, 0, 1e-6)), "data/run.nc", 1, "DIFFERS .*x1, row 1:"),
-    "recording, other time": (lambda: write_run(RUN, 0.02), "data/run.nc", 1, "DIFFERS .*time, row "),
-    "recording, damaged": (lambda: Path("data/run.nc").write_bytes(b"junk"), "data/run.nc", 1, "UNREADABLE .*run.nc cannot be read"),
-    "model, other versions": (lambda: write_model('{"kind": "K", "strength": 0.1, "versions": {"numpy": "2"}}'), "data/model.npz", 0, "agree  .*all equal"),
-    "model, other kind": (lambda: write_model('{"kind": "L", "strength": 0.1}'), "data/model.npz", 1, "DIFFERS .*header.kind, row 1: L for K"),
-    "model, inside": (lambda: write_model(K=np.arange(400.0).reshape(20, 20) * (1 + 1e-9)), "data/model.npz", 0, "numbers agree .*K, row"),
-    "model, outside": (lambda: write_model(K=np.arange(400.0).reshape(20, 20) + 0.01), "data/model.npz", 1, "DIFFERS .*K, row"),
-    "model, transposed": (lambda: write_model(K=np.arange(400.0).reshape(20, 20).T), "data/model.npz", 1, "DIFFERS .*K, row"),
-    "model, reshaped": (lambda: write_model(K=np.arange(400.0)), "data/model.npz", 1, "DIFFERS .*K.shape, row 1"),
-    "model, rounding only": (lambda: write_model(noise=np.array([0, 9e-16])), "data/model.npz", 0, "numbers agree"),
-    "model, a rank": (lambda: write_model(rank=np.array(4)), "data/model.npz", 1, "DIFFERS .*rank, row 1: 4 for 3"),
-    "model, a pole": (lambda: write_model(poles=np.array([1 - 2j])), "data/model.npz", 1, "DIFFERS .*poles.imag, row 1: -2 for 2"),
-    "model, damaged": (lambda: Path("data/model.npz").write_bytes(b"PK"), "data/model.npz", 1, "UNREADABLE .*model.npz cannot be read"),
-    "model with code in it": (lambda: write_model(poles=np.array([{}], dtype=object)), "data/model.npz", 1, "UNREADABLE"),
-    "picture, other bytes": (lambda: Path("figures/plot.png").open("ab").write(b" "), "figures/plot.png", 0, "looks the same .*RMS 0.00"),
-    "picture moved": (lambda: write_picture(60), "figures/plot.png", 0, "looks different .*RMS [2-9]"),
-    "picture of another size": (lambda: write_picture(0, 300), "figures/plot.png", 0, "looks different .*240x300 pixels for 240x200"),
-    "picture damaged": (lambda: Path("figures/plot.png").write_bytes(b"junk"), "figures/plot.png", 1, "UNREADABLE .*plot.png cannot be read"),
-    "film, other bytes": (lambda: Path("figures/film.gif").open("ab").write(b" "), "figures/film.gif", 0, "looks the same .*RMS 0.00"),
-    "film, its last frame": (lambda: write_film(0), "figures/film.gif", 0, "looks different .*RMS [0-9]+"),
-    "film damaged": (lambda: Path("figures/film.gif").write_bytes(b"junk"), "figures/film.gif", 1, "UNREADABLE .*film.gif cannot be read"),
-    "pdf": (lambda: Path("figures/plot.pdf").write_bytes(b"%PDF-2"), "figures/plot.pdf", 0, "other bytes .*see plot.png and plot.csv"),
-    "pdf, empty": (lambda: Path("figures/plot.pdf").write_bytes(b""), "figures/plot.pdf", 1, "UNREADABLE .*it is empty"),
-    "table of a figure, inside": (lambda: change("figures/plot.csv", "1.5", "1.5000000001"), "figures/plot.csv", 0, "numbers agree .*1.5000000001 for 1.5"),
-    "table of a figure, outside": (lambda: change("figures/plot.csv", "1.5", "1.50001"), "figures/plot.csv", 1, r"DIFFERS .*\(value, row 1: 1.50001 for 1.5,"),
-    "missing": (lambda: Path("data/run.nc").unlink(), "data/run.nc", 1, "MISSING .*it is not there: make all"),
-}  # fmt: skip
+    "data/table.csv": {
+        "inside": (lambda: edit("1.5", "1.5000000001"), "numbers agree .*1.5000000001 for 1.5"),
+        "outside": (
+            lambda: edit("1.5", "1.50001"),
+            r"DIFFERS .*\(value, row 1: 1.50001 for 1.5, .* times what is allowed",
+        ),
+        "small beside the column's largest": (lambda: edit("-2e-05", "-2.000005e-05"), "numbers agree"),
+        "the sign": (lambda: edit("-2e-05", "2e-05"), "DIFFERS .*value, row 3: 2e-05 for -2e-05"),
+        "a whole number by one": (lambda: edit("4", "5"), r"DIFFERS .*\(count, row 2: 5 for 4\)"),
+        "text": (lambda: edit("second", "Second"), "DIFFERS .*name, row 2: Second for second"),
+        "a number for none": (lambda: edit("4,", "4,0"), "DIFFERS .*value, row 2: 0 for nan"),
+        "infinity": (lambda: edit("1.5", "inf"), "DIFFERS .*inf for 1.5"),
+        "a row less": (lambda: edit("third,5,-2e-05\n", ""), "DIFFERS .*name has 2 rows, the reference 3"),
+        "another column": (lambda: edit("count", "number"), "DIFFERS .*column count is only in the reference"),
+        "a line cut": (lambda: Path("data/table.csv").write_text(TABLE[:-8]), "UNREADABLE .*do not all have 3 fields"),
+        "empty": (lambda: spoil("data/table.csv", b""), "UNREADABLE .*it is empty"),
+    },
+    "data/long.csv": {
+        "inside": (lambda: write_long(nudged(LONG, 0, 1e-10)), "numbers agree .*a, row 1"),
+        "outside": (lambda: write_long(nudged(LONG, 4999, 1e-4)), "DIFFERS .*a, row 5000"),
+        "everywhere": (lambda: write_long(LONG * [1, 1.001, 1]), "DIFFERS .*b, row .* and 2.. more in this column"),
+        "a row less": (lambda: write_long(LONG[:-1]), "DIFFERS .*a has 4999 rows, the reference 5000"),
+    },
+    "data/run.nc": {
+        "inside": (lambda: write_run(RUN * (1 + 1e-11)), "numbers agree"),
+        "outside": (lambda: write_run(nudged(RUN, 0, 1e-6)), "DIFFERS .*x1, row 1:"),
+        "other time": (lambda: write_run(RUN, 0.02), "DIFFERS .*time, row "),
+        "damaged": (lambda: spoil("data/run.nc"), "UNREADABLE .*run.nc cannot be read"),
+        "missing": (lambda: Path("data/run.nc").unlink(), "MISSING .*it is not there: make all"),
+    },
+    "data/model.npz": {
+        "other versions": (lambda: write_model(OTHER_VERSION), "numbers agree .*all equal"),
+        "other kind": (lambda: write_model('{"kind": "L", "strength": 0.1}'), "DIFFERS .*header.kind, row 1: L for K"),
+        "inside": (lambda: write_model(K=SQUARE * (1 + 1e-9)), "numbers agree .*K, row"),
+        "outside": (lambda: write_model(K=SQUARE + 0.01), "DIFFERS .*K, row"),
+        "transposed": (lambda: write_model(K=SQUARE.T), "DIFFERS .*K, row"),
+        "reshaped": (lambda: write_model(K=np.arange(400.0)), "DIFFERS .*K.shape, row 1"),
+        "rounding only": (lambda: write_model(noise=np.array([0, 9e-16])), "numbers agree"),
+        "a rank": (lambda: write_model(rank=np.array(4)), "DIFFERS .*rank, row 1: 4 for 3"),
+        "a pole": (lambda: write_model(poles=np.array([1 - 2j])), "DIFFERS .*poles.imag, row 1: -2 for 2"),
+        "damaged": (lambda: spoil("data/model.npz", b"PK"), "UNREADABLE .*model.npz cannot be read"),
+        "with code in it": (lambda: write_model(poles=np.array([{}], dtype=object)), "UNREADABLE"),
+    },
+    "figures/plot.png": {
+        "other bytes": (lambda: append("figures/plot.png"), "looks the same .*RMS 0.00"),
+        "moved": (lambda: write_picture(60), "looks different .*RMS [2-9]"),
+        "of another size": (lambda: write_picture(0, 300), "looks different .*240x300 pixels for 240x200"),
+        "damaged": (lambda: spoil("figures/plot.png"), "UNREADABLE .*plot.png cannot be read"),
+    },
+    "figures/film.gif": {
+        "other bytes": (lambda: append("figures/film.gif"), "looks the same .*RMS 0.00"),
+        "its last frame": (lambda: write_film(0), "looks different .*RMS [0-9]+"),
+        "damaged": (lambda: spoil("figures/film.gif"), "UNREADABLE .*film.gif cannot be read"),
+    },
+    "figures/plot.pdf": {
+        "other bytes": (lambda: spoil("figures/plot.pdf", b"%PDF-2"), "other bytes .*see plot.png and plot.csv"),
+        "empty": (lambda: spoil("figures/plot.pdf", b""), "UNREADABLE .*it is empty"),
+    },
+    "figures/plot.csv": {
+        "inside": (lambda: change("figures/plot.csv", "1.5", "1.5000000001"), "numbers agree .*1.5000000001 for 1.5"),
+        "outside": (
+            lambda: change("figures/plot.csv", "1.5", "1.50001"),
+            r"DIFFERS .*\(value, row 1: 1.50001 for 1.5,",
+        ),
+    },
+}
 
 
-@pytest.mark.parametrize("what", CHANGES)
-def test_one_change(project, what, capsys):
-    make, name, expected, pattern = CHANGES[what]
+@pytest.mark.parametrize("name, what", [(name, what) for name, changes in CHANGES.items() for what in changes])
+def test_one_change(project, name, what, capsys):
+    make, pattern = CHANGES[name][what]
     make()
     status, lines = verdicts(capsys)
-    assert re.search(pattern, lines[name]), lines[name]
-    assert status == expected
+    assert re.match(pattern, lines[name]), lines[name]
+    assert status == pattern.startswith(verification.FAILURES)
     assert all(line.startswith("same bytes") for other, line in lines.items() if other != name)
 
 
 # What is done to the reference while the table's bytes differ from it.
+COPY = Path("reference/data/table.csv")
 LOST = {
-    "no copy": (lambda: Path("reference/data/table.csv").unlink(), r"MISSING .*lost reference/data/table.csv: git checkout"),
-    "a damaged copy": (lambda: Path("reference/data/table.csv").write_text('"'), r"UNREADABLE .*reference/data/table.csv cannot be read"),
-    "a copy cut short": (lambda: Path("reference/data/table.csv").write_text(TABLE[:29]), r"DIFFERS .*name has 3 rows, the reference 1"),
-    "no line in the manifest": (lambda: change("reference/SHA256SUMS", "data/table.csv", "data/other.csv"), r"MISSING .*reference has no reference for it"),
-}  # fmt: skip
+    "no copy": (COPY.unlink, r"MISSING .*lost reference/data/table.csv: git checkout"),
+    "a damaged copy": (lambda: COPY.write_text('"'), r"UNREADABLE .*reference/data/table.csv cannot be read"),
+    "a copy cut short": (lambda: COPY.write_text(TABLE[:29]), r"DIFFERS .*name has 3 rows, the reference 1"),
+    "no line in the manifest": (
+        lambda: change("reference/SHA256SUMS", "data/table.csv", "data/other.csv"),
+        "MISSING .*reference has no reference for it",
+    ),
+}
 
 
 @pytest.mark.parametrize("what", LOST)
@@ -203,20 +238,12 @@ def test_a_damaged_reference(project, what, capsys):
     assert re.search(pattern, lines["data/table.csv"]), lines["data/table.csv"]
 
 
-# What is done to the repository, whose files stand for the figures and their tables; and what is said of one with other bytes.
+# What is done to the repository, whose files stand for the figures, and what is said of one with other bytes.
+NO_HEAD = ["git", "update-ref", "-d", "HEAD"]
 UNCOMMITTED = {
-    "no repository": (
-        lambda: shutil.rmtree(".git"),
-        "MISSING .*git has no {} to compare with: clone the repository, or commit the file",
-    ),
-    "not committed": (
-        lambda: subprocess.run(["git", "update-ref", "-d", "HEAD"], check=True),
-        "MISSING .*git has no {} to compare with",
-    ),
-    "regenerated and committed": (
-        lambda: commit("figures"),
-        "MISSING .*git has another {} than the reference names: commit it together",
-    ),
+    "no repository": (lambda: shutil.rmtree(".git"), "no {} to compare with: clone the repository, or commit the file"),
+    "not committed": (lambda: subprocess.run(NO_HEAD, check=True), "no {} to compare with"),
+    "regenerated": (lambda: commit("figures"), "another {} than the reference names: commit it together"),
 }
 
 
@@ -229,12 +256,9 @@ def test_a_figure_that_git_does_not_have_is_named(project, what, capsys):
     status, lines = verdicts(capsys)
     assert status == 1
     for name in ("figures/plot.png", "figures/plot.csv"):
-        assert re.search(pattern.format(name), lines[name]), lines[name]
-    assert all(
-        line.startswith("same bytes")
-        for name, line in lines.items()
-        if not name.startswith("figures/plot.") or name.endswith("pdf")
-    )
+        assert re.search(f"MISSING .*git has {pattern.format(name)}", lines[name]), lines[name]
+    others = [line for name, line in lines.items() if name not in ("figures/plot.png", "figures/plot.csv")]
+    assert all(line.startswith("same bytes") for line in others)
 
 
 def test_equal_bytes_need_no_git(project, capsys):
@@ -248,14 +272,13 @@ def test_git_has_the_figures_that_the_reference_names():
     tree = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     if tree.returncode:
         pytest.skip("this is no git repository")
+
+    def content(name):
+        return subprocess.run(["git", "show", f"HEAD:./{name}"], cwd=ROOT, capture_output=True).stdout
+
     names = set(tree.stdout.split())
-    contents = {
-        name: subprocess.run(["git", "show", f"HEAD:./{name}"], cwd=ROOT, capture_output=True).stdout for name in names
-    }
-    sums = {
-        name: hashlib.sha256(content).hexdigest() for name, content in contents.items() if name.startswith("figures/")
-    }
-    manifest = contents["reference/SHA256SUMS"].decode().splitlines()
+    sums = {name: hashlib.sha256(content(name)).hexdigest() for name in names if name.startswith("figures/")}
+    manifest = content("reference/SHA256SUMS").decode().splitlines()
     expected = dict(reversed(line.split("  ")) for line in manifest if "figures/" in line)
     assert sums == {name: value for name, value in expected.items() if not name.endswith(artefacts.DRAWINGS)}
     assert not [name for name in names if name.startswith("reference/figures")]
@@ -263,11 +286,7 @@ def test_git_has_the_figures_that_the_reference_names():
 
 def test_what_make_no_longer_builds_and_what_has_no_reference(project, capsys):
     status, lines = verdicts(capsys, FILES[1:])
-    assert (
-        status == 1
-        and lines["data/table.csv"].startswith("MISSING")
-        and "no longer builds it" in lines["data/table.csv"]
-    )
+    assert status == 1 and re.match("MISSING .*no longer builds it", lines["data/table.csv"])
     Path("data/new.csv").write_text(TABLE)
     status, lines = verdicts(capsys, [*FILES, "data/new.csv"])
     assert status == 1 and "has no reference for it: make bless" in lines["data/new.csv"]
@@ -282,11 +301,8 @@ def test_without_a_manifest_one_sentence(project, content, capsys):
     capsys.readouterr()
     assert verification.main(["data/table.csv"]) == 2
     printed = capsys.readouterr()
-    assert (
-        printed.out == ""
-        and len(printed.err.splitlines()) == 1
-        and "git checkout reference, or make bless" in printed.err
-    )
+    assert printed.out == "" and len(printed.err.splitlines()) == 1
+    assert "git checkout reference, or make bless" in printed.err
 
 
 def test_bless_replaces_what_changed_and_removes_what_went(project, capsys):

@@ -1,8 +1,7 @@
-"""What an artefact holds, for comparison: columns of numbers, or a small grey picture; and what stands for it in `reference/`.
+"""What an artefact holds, for comparison: columns of numbers, or a small grey picture; and its copy in `reference/`.
 
-The committed file stands for a figure and its table. Of the rest `reference/` holds a copy as text: a table (.csv) as it
-is, thinned if it is long; a recording (.nc) as a thinned table; a model (.npz) with one number per line, long arrays
-thinned. Pictures are compared in grey at a quarter of the size, of an animation (.gif) some frames, one below the other.
+The committed file stands for a figure and its table. Of the rest `reference/` holds a copy as text: a table (.csv) as
+it is, thinned if it is long; a recording (.nc) as a thinned table; a model (.npz) with one number per line.
 """
 
 import collections
@@ -21,7 +20,7 @@ from tras.workflow.files import replacing
 
 WHOLE = 100_000  # bytes; the copy of a longer table is thinned
 ROWS = 250  # rows, or elements of an array, that a thinned copy keeps
-SMALLER = 4  # pixels to one, each way
+SMALLER = 4  # pixels of a picture to one, each way
 PICTURES = (".png", ".gif")
 DRAWINGS = (".pdf", ".svg")  # compared by their checksum only, and not in git
 COMMITTED = "figures"  # the folder whose files, drawings aside, are in git
@@ -31,7 +30,7 @@ FRAMES = 5  # of an animation, from the first to the last
 # --- artefacts as columns of numbers ----------------------------------------------------------------------------------
 
 
-def read_columns(path):
+def read_columns(path: Path) -> dict:
     """The content of a table (.csv), a recording (.nc) or a model (.npz).
 
     Returns
@@ -105,7 +104,7 @@ def _typed(values):
     return np.array(values, dtype=str)
 
 
-def text(value):
+def text(value) -> str:
     """A number as the copies hold it: twelve digits."""
     return f"{value:.12g}" if isinstance(value, float) else str(value)
 
@@ -113,84 +112,82 @@ def text(value):
 # --- what stands for them in the reference ----------------------------------------------------------------------------
 
 
-def copy_of(artefact, reference):
-    """Where the copy of an artefact lies in the folder ``reference``; None if git has it or only its checksum counts."""
+def copy_of(artefact: Path, reference: Path) -> Path | None:
+    """The copy of an artefact in the folder ``reference``; None if git has it or only its checksum counts."""
     if artefact.parts[0] == COMMITTED or artefact.suffix in (*DRAWINGS, *PICTURES):
         return None
     return reference / (artefact if artefact.suffix == ".csv" else artefact.with_name(artefact.name + ".csv"))
 
 
 @contextlib.contextmanager
-def committed(artefact, checksum):
+def committed(artefact: Path, checksum: str):
     """A temporary path of the file that the last commit has; `FileNotFoundError` unless it has that SHA-256."""
     try:
         command = ["git", "show", f"HEAD:./{artefact.as_posix()}"]
         content = subprocess.run(command, capture_output=True, check=True).stdout
     except (OSError, subprocess.CalledProcessError):
-        raise FileNotFoundError(
-            f"git has no {artefact} to compare with: clone the repository, or commit the file"
-        ) from None
+        advice = "clone the repository, or commit the file"
+        raise FileNotFoundError(f"git has no {artefact} to compare with: {advice}") from None
     if hashlib.sha256(content).hexdigest() != checksum:
-        raise FileNotFoundError(
-            f"git has another {artefact} than the reference names: commit it together with the reference"
-        )
+        advice = "commit it together with the reference"
+        raise FileNotFoundError(f"git has another {artefact} than the reference names: {advice}")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / artefact.name
         path.write_bytes(content)
         yield path
 
 
-def write_copy(artefact, copy):
+def write_copy(artefact: Path, copy: Path) -> None:
     """Write the copy of an artefact; `ValueError` if the artefact cannot be read."""
-    if artefact.suffix == ".csv" and artefact.stat().st_size <= WHOLE:
-        read_columns(artefact)
-        with replacing(copy) as temporary:
+    columns = read_columns(artefact)
+    with replacing(copy) as temporary:
+        if artefact.suffix == ".csv" and artefact.stat().st_size <= WHOLE:
             shutil.copyfile(artefact, temporary)
-    else:
-        _write_thinned(read_columns(artefact), copy)
+        else:
+            _write_thinned(columns, temporary)
 
 
-def _write_thinned(columns, copy):
+def _write_thinned(columns, path):
     """Write some of the rows: their numbers beside the columns, or one line per number where lengths differ."""
     import numpy as np
 
-    selection = {
-        name: np.unique(np.linspace(0, len(values) - 1, ROWS).round().astype(int)) for name, values in columns.items()
-    }
-    if len({len(values) for values in columns.values()}) == 1:
-        rows = next(iter(selection.values()))
-        lines = [
-            ("#row", *columns),
-            *zip(rows, *([text(v) for v in values[rows].tolist()] for values in columns.values())),
-        ]
+    rows = {name: np.linspace(0, len(column) - 1, ROWS).round().astype(int) for name, column in columns.items()}
+    rows = {name: np.unique(numbers) for name, numbers in rows.items()}
+    texts = {name: [text(value) for value in column[rows[name]].tolist()] for name, column in columns.items()}
+    if len({len(column) for column in columns.values()}) == 1:
+        lines = [("#row", *columns), *zip(next(iter(rows.values())), *texts.values())]
     else:
         lines = [("#array", "#row", "#value")]
-        lines += [(name, row, text(values[row].item())) for name, values in columns.items() for row in selection[name]]
-    with replacing(copy) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+        lines += [(name, *pair) for name in columns for pair in zip(rows[name], texts[name])]
+    with open(path, "w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows(lines)
 
 
-def read_copy(path):
-    """A copy of columns, or a whole table: name -> (row numbers or None for all, values); `ValueError` if it cannot be read."""
+def read_copy(path: Path) -> dict:
+    """A copy of columns, or a whole table: name -> (row numbers or None for all, values).
+
+    Raises
+    ------
+    ValueError
+        If it cannot be read.
+    """
     try:
         with open(path, encoding="utf-8", newline="") as file:
             names, *lines = csv.reader(file, strict=True)
-        if names == ["#array", "#row", "#value"]:
-            grouped = collections.defaultdict(list)
-            for name, row, value in lines:
-                grouped[name].append((int(row), value))
-            return {
-                name: ([row for row, _ in pairs], _typed([value for _, value in pairs]))
-                for name, pairs in grouped.items()
-            }
-        columns = _read_csv(path)
-        rows = columns.pop("#row", None)
-        return {name: (rows, values) for name, values in columns.items()}
+        if names != ["#array", "#row", "#value"]:
+            columns = _read_csv(path)
+            rows = columns.pop("#row", None)
+            return {name: (rows, values) for name, values in columns.items()}
+        groups = collections.defaultdict(lambda: ([], []))
+        for name, row, value in lines:
+            groups[name][0].append(int(row))
+            groups[name][1].append(value)
+        return {name: (rows, _typed(values)) for name, (rows, values) in groups.items()}
     except (OSError, ValueError, csv.Error) as error:
         raise ValueError(f"{path} cannot be read ({error}): git checkout {path}") from error
 
 
-def picture(path):
+def picture(path: Path):
     """A picture in small: float array (height, width) of grey levels, 0 to 255; `ValueError` if it cannot be read."""
     levels = _levels(path)
     height, width = (size // SMALLER * SMALLER for size in levels.shape)

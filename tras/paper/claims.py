@@ -8,31 +8,23 @@ wider on each side; "low" means an error to norm ratio of at most 0.1, "high" a 
 import math
 
 import numpy as np
+import pandas as pd
+from scipy import linalg
 
+from tras.paper import effects, readings
+from tras.twin_rotor.plant import PlantParameters, jacobian, rest_point
 from tras.workflow import files
 
 REPRODUCED, NAMED, NOT, UNCHECKABLE = VERDICTS = (
     "reproduced", "reproduced only under a named reading", "not reproduced", "not checkable",
 )  # fmt: skip
-COLUMNS = (
-    "claim",
-    "statement",
-    "verdict",
-    "quantity",
-    "value",
-    "low",
-    "high",
-    "reading",
-    "evidence",
-    "figure",
-    "command",
-)
+COLUMNS = tuple("claim statement verdict quantity value low high reading evidence figure command".split())
 WIDER, LOW_ENR, HIGH_BFR, BETTER = 1.1, 0.1, 90.0, 0.95
 OWN, LINEAR, BOUND = "Koopman, the paper's", ("DMDc", "N4SID"), "grey box"  # methods of 07_comparison
 PAPERS_OWN = {"input": "reference", "model": "gaussian"}  # the default reading, in the tables of 02 and 03
 
 
-def evaluate(tables, models):
+def evaluate(tables: dict[str, pd.DataFrame], models: dict) -> pd.DataFrame:
     """All ten claims.
 
     Parameters
@@ -49,336 +41,221 @@ def evaluate(tables, models):
         One row per claim, columns `COLUMNS`. ``value, low, high`` belong to ``quantity``; low and high are the extremes
         over seeds or cases.
     """
-    import pandas as pd
-
-    rows = [
-        {"claim": "C1", "statement": "yaw NRMSE is 4.0589 %", **nrmse(tables["readings"], "yaw")},
-        {"claim": "C2", "statement": "pitch NRMSE is 5.5889 %", **nrmse(tables["readings"], "pitch")},
-        {
-            "claim": "C3",
-            "statement": "the error to norm ratio is low across operating conditions",
-            **across(tables["metrics"], "enr"),
-        },
-        {"claim": "C4", "statement": "the best fit ratio is high", **across(tables["metrics"], "bfr")},
-        {
-            "claim": "C5",
-            "statement": "superior to conventional linear models",
-            **against_linear(tables["readings"], tables["comparison"]),
-        },
-        {
-            "claim": "C6",
-            "statement": "contrasted with many other nonlinear identification methods",
-            **other_methods(tables["comparison"]),
-        },
-        {
-            "claim": "C7",
-            "statement": "simulations start from real conditions without iterative adjustment",
-            **starts(tables["metrics"]),
-        },
-        {
-            "claim": "C8",
-            "statement": "with too few data the logarithm fails, more data mend it",
-            **few_data(tables["length"]),
-        },
-        {
-            "claim": "C9",
-            "statement": "cost grows with the dimension, a fitting basis mitigates it",
-            **cost(tables["readings"], tables["metrics"]),
-        },
-        {"claim": "C10", "statement": "it lays the ground for control", **control(models)},
-    ]
+    grid, metrics, length, comparison = (tables[name] for name in ("readings", "metrics", "length", "comparison"))
+    claims = (
+        ("yaw NRMSE is 4.0589 %", nrmse(grid, "yaw")),
+        ("pitch NRMSE is 5.5889 %", nrmse(grid, "pitch")),
+        ("the error to norm ratio is low across operating conditions", across(metrics, "enr")),
+        ("the best fit ratio is high", across(metrics, "bfr")),
+        ("superior to conventional linear models", against_linear(grid, comparison)),
+        ("contrasted with many other nonlinear identification methods", other_methods(comparison)),
+        ("simulations start from real conditions without iterative adjustment", starts(metrics)),
+        ("with too few data the logarithm fails, more data mend it", few_data(length)),
+        ("cost grows with the dimension, a fitting basis mitigates it", cost(grid, metrics)),
+        ("it lays the ground for control", control(models)),
+    )
+    rows = [{"claim": f"C{i}", "statement": statement, **row} for i, (statement, row) in enumerate(claims, 1)]
     return pd.DataFrame(rows)[list(COLUMNS)]
 
 
-def nrmse(grid, angle):
+def nrmse(grid: pd.DataFrame, angle: str) -> dict:
     """C1, C2: the paper's number against the default reading, and all readings, which must meet both at once."""
-    from tras.paper import effects, readings
-
-    every = effects.nearest(grid)
-    default = _rows(every, **readings.Readings().model_dump())
-    best = every.iloc[0]
-    met = every[_meets(every, "yaw") & _meets(every, "pitch")]
-    named = len(met) > 0
+    ranking = effects.nearest(grid)
+    default = _rows(ranking, **readings.Readings().model_dump())
     ours = default.iloc[0] if len(default) else None
-    verdict = REPRODUCED if ours is not None and _meets(default, angle).iloc[0] else NAMED if named else NOT
-    nearest = met.iloc[0] if named else best
-    readings_that = (
-        f"{len(met)} of {len(every)} readings meet both numbers at once"
-        if named
-        else f"none of {len(every)} readings meets both numbers at once"
-    )
+    both = ranking[_meets(ranking, "yaw") & _meets(ranking, "pitch")]
+    nearest = (both if len(both) else ranking).iloc[0]
+    count = f"{len(both)} of {len(ranking)} readings meet" if len(both) else f"none of {len(ranking)} readings meets"
     evidence = (
-        f"default reading {_range(ours, angle)}; {readings_that}; the nearest ({_name(nearest)}) has yaw {_range(nearest, 'yaw')}, "
-        f"pitch {_range(nearest, 'pitch')}, distance {nearest['distance']:.2f}"
+        f"default reading {_range(ours, angle)}; {count} both numbers at once; the nearest ({_name(nearest)}) has "
+        f"yaw {_range(nearest, 'yaw')}, pitch {_range(nearest, 'pitch')}, distance {nearest['distance']:.2f}"
     )
-    numbers = [math.nan] * 3 if ours is None else [ours[angle], ours[f"{angle}_lowest"], ours[f"{angle}_highest"]]
-    reading = "default" if verdict == REPRODUCED else _name(nearest) if named else ""
-    return _row(
-        verdict,
-        f"NRMSE of {angle}, 6 s windows, default reading (%)",
-        numbers,
-        reading,
-        evidence,
-        "readings_nearest",
-        "make all",
-    )
+    numbers = [math.nan] * 3 if ours is None else [ours[angle + end] for end in ("", "_lowest", "_highest")]
+    verdict = _verdict(_meets(default, angle).any(), _name(nearest) if len(both) else "")
+    return _row(verdict, f"NRMSE of {angle}, 6 s windows, default reading (%)", numbers, evidence, "readings_nearest")
 
 
 def _meets(rows, angle):
     """Where the paper's number of this angle, by the row's naming, lies within the range over seeds, a little wider."""
-    from tras.paper import effects
-
     paper = np.array([dict(zip(("yaw", "pitch"), effects.target(names)))[angle] for names in rows["angle_names"]])
     return (rows[f"{angle}_lowest"] <= paper * WIDER) & (paper <= rows[f"{angle}_highest"] * WIDER)
 
 
-def across(metrics, name):
+def across(metrics: pd.DataFrame, name: str) -> dict:
     """C3, C4: a metric of the paper's own model over all validation recordings and both angles."""
-    windows = _rows(metrics[metrics["kind"] == "window"], **PAPERS_OWN)
-    worst, best, limit = ("max", "min", LOW_ENR) if name == "enr" else ("min", "max", HIGH_BFR)
-    good = windows[name] <= limit if name == "enr" else windows[name] >= limit
-    alike = windows["recording"].str.startswith("multisine")
-    verdict = REPRODUCED if good.all() else NAMED if good[alike].all() else NOT
-    kinds = windows["recording"].str.split().str[0]
-    by_kind = "; ".join(
-        f"{kind}: "
-        + ", ".join(
-            f"{angle} {part[name].agg(worst):.3g}"
-            for angle, part in windows[kinds == kind].groupby("angle", sort=False)
-        )
-        for kind in kinds.unique()
-    )
-    limits = f"at most {limit:g}" if name == "enr" else f"at least {limit:g} %"
-    evidence = f"worst of each kind of validation signal ({limits} is asked for): {by_kind}"
-    numbers = [windows[name].agg(worst), windows[name].min(), windows[name].max()]
-    reading = {REPRODUCED: "default", NAMED: "validation signals like the training's (multisines)", NOT: ""}[verdict]
-    label = {"enr": "largest Enr of both angles", "bfr": "smallest BFR of both angles (%)"}[name]
-    return _row(verdict, label, numbers, reading, evidence, "horizon", "make paper")
+    windows = _rows(metrics, kind="window", **PAPERS_OWN)
+    values = windows[name]
+    if name == "enr":
+        worst, good, limit, label = "max", values <= LOW_ENR, f"at most {LOW_ENR:g}", "largest Enr of both angles"
+    else:
+        limit, label = f"at least {HIGH_BFR:g} %", "smallest BFR of both angles (%)"
+        worst, good = "min", values >= HIGH_BFR
+    parts = []
+    for kind, part in windows.groupby(windows["recording"].str.split().str[0], sort=False):
+        by_angle = part.groupby("angle", sort=False)[name].agg(worst)
+        parts.append(f"{kind}: " + ", ".join(f"{angle} {value:.3g}" for angle, value in by_angle.items()))
+    evidence = f"worst of each kind of validation signal ({limit} is asked for): {'; '.join(parts)}"
+    alike = good[windows["recording"].str.startswith("multisine")].all()
+    verdict = _verdict(good.all(), "validation signals like the training's (multisines)" if alike else "")
+    numbers = [values.agg(worst), values.min(), values.max()]
+    return _row(verdict, label, numbers, evidence, "horizon", "make paper")
 
 
-def against_linear(grid, comparison):
+def against_linear(grid: pd.DataFrame, comparison: pd.DataFrame) -> dict:
     """C5: error over the linear model's, for the same seeds, per reading; and beside linear methods tuned alike."""
-    from tras.paper import effects, readings
-
     ratios = _ratios_to_linear(effects.pairs_of_angles(grid))
-    default = readings.Readings()
-    ours = _rows(ratios, **{name: getattr(default, name) for name in effects.OPTIONS}).iloc[0]
+    ours = _rows(ratios, **_reading()).iloc[0]
     better = ratios[ratios["better"]].sort_values("median", kind="stable")
-    verdict = REPRODUCED if ours["better"] else NAMED if len(better) else NOT
-    evidence = f"error over the linear model's, the worse angle, default reading: {ours['median']:.3f} ({ours['low']:.3f} to {ours['high']:.3f}); "
-    evidence += f"{len(better)} of {len(ratios)} readings are superior in both angles for every seed"
-    if len(better):
-        first = better.iloc[0]
-        evidence += f", most of all ({_name(first)}): {first['median']:.3f} ({first['low']:.3f} to {first['high']:.3f})"
-    errors = _windows(comparison)
-    linear = [name for name in LINEAR if name in errors.index.get_level_values("method")]
-    parts = [
-        f"{name} {_yaw_pitch(errors, name, source)}" for source in ("reference", "torque") for name in (OWN, *linear)
-    ]
-    half = len(parts) // 2
-    evidence += f"; beside linear methods tuned by the same rule, yaw / pitch over 6 s in %, reference: {', '.join(parts[:half])}; torque: {', '.join(parts[half:])}"
-    reading = "default" if verdict == REPRODUCED else _name(better.iloc[0]) if len(better) else ""
-    numbers = [ours["median"], ours["low"], ours["high"]]
-    return _row(
-        verdict,
-        "NRMSE over the linear model's, the worse angle",
-        numbers,
-        reading,
-        evidence,
-        "readings_effects",
-        "make all",
+    span = "{median:.3f} ({low:.3f} to {high:.3f})".format
+    evidence = (
+        f"error over the linear model's, the worse angle, default reading: {span(**ours)}; "
+        f"{len(better)} of {len(ratios)} readings are superior in both angles for every seed"
     )
+    if len(better):
+        evidence += f", most of all ({_name(better.iloc[0])}): {span(**better.iloc[0])}"
+    errors = _windows(comparison)
+    methods = [OWN, *(name for name in LINEAR if name in errors.index.get_level_values("method"))]
+    parts = [
+        f"{source}: {', '.join(f'{name} {_yaw_pitch(errors, name, source)}' for name in methods)}"
+        for source in ("reference", "torque")
+    ]
+    evidence += f"; beside linear methods tuned by the same rule, yaw / pitch over 6 s in %, {'; '.join(parts)}"
+    verdict = _verdict(ours["better"], _name(better.iloc[0]) if len(better) else "")
+    numbers = [ours[name] for name in ("median", "low", "high")]
+    return _row(verdict, "NRMSE over the linear model's, the worse angle", numbers, evidence, "readings_effects")
 
 
 def _ratios_to_linear(pairs):
     """Median, low, high over seeds of the worse angle's ratio, per reading with another dictionary than linear."""
-    from tras.paper import effects
-
-    seeds = ["train_seed", "validation_seed"]
-    rest = [name for name in effects.OPTIONS if name != "dictionary"]
-    linear = pairs[pairs["dictionary"] == "linear"].set_index([*rest, *seeds])[["yaw", "pitch"]].add_suffix("_linear")
-    others = pairs[pairs["dictionary"] != "linear"].join(linear, on=[*rest, *seeds])
-    ratios = [others[angle] / others[f"{angle}_linear"] for angle in ("yaw", "pitch")]
-    others = others.assign(ratio=np.maximum(*ratios))  # NaN if one is
-    groups = others.groupby(list(effects.OPTIONS), sort=False)["ratio"]
+    same = [*(name for name in effects.OPTIONS if name != "dictionary"), "train_seed", "validation_seed"]
+    linear = pairs[pairs["dictionary"] == "linear"].set_index(same)[["yaw", "pitch"]].add_suffix("_linear")
+    others = pairs[pairs["dictionary"] != "linear"].join(linear, on=same)
+    ratio = np.maximum(*(others[angle] / others[f"{angle}_linear"] for angle in ("yaw", "pitch")))  # NaN if one is
+    groups = others.assign(ratio=ratio).groupby(list(effects.OPTIONS), sort=False)["ratio"]
     result = groups.agg(median="median", low="min", high="max", missing=lambda r: r.isna().sum()).reset_index()
     result["better"] = (result["median"] <= BETTER) & (result["high"] <= BETTER) & (result["missing"] == 0)
-    # The range of free runs is the same twice; one of them counts.
-    return result[(result["horizon"] != "free_run") | (result["nrmse_range"] == "validation_set")].reset_index(
-        drop=True
-    )
+    return result.query(effects.ONCE).reset_index(drop=True)
 
 
-def other_methods(comparison):
+def other_methods(comparison: pd.DataFrame) -> dict:
     """C6: the paper names no method and prints no number of one; where its dictionary stands among ours."""
     errors, parts = _windows(comparison), []
     for source in ("reference", "torque"):
         part = errors.xs(source, level="input").drop(index=BOUND, errors="ignore")
         complete = part[part["lost"] == 0]
-        order = np.sqrt(complete["yaw"] * complete["pitch"]).sort_values(kind="stable").index
-        rank = f"{list(order).index(OWN) + 1} of {len(part)}" if OWN in order else f"without a place among {len(part)}"
-        rest = "" if OWN not in part.index else f" ({_yaw_pitch(errors, OWN, source)})"
-        parts.append(
-            f"{source}: the best is {order[0]} ({_yaw_pitch(errors, order[0], source)}), the paper's dictionary is {rank}{rest}"
-        )
+        order = list(np.sqrt(complete["yaw"] * complete["pitch"]).sort_values(kind="stable").index)
+        rank = f"{order.index(OWN) + 1} of {len(part)}" if OWN in order else f"without a place among {len(part)}"
+        rest = f" ({_yaw_pitch(errors, OWN, source)})" if OWN in part.index else ""
+        best = f"the best is {order[0]} ({_yaw_pitch(errors, order[0], source)})"
+        parts.append(f"{source}: {best}, the paper's dictionary is {rank}{rest}")
     evidence = (
-        "the paper announces the comparison and shows none: no method is named and no number given. Ours, each method tuned by the same rule, yaw / pitch over 6 s in %, "
+        "the paper announces the comparison and shows none: no method is named and no number given. "
+        "Ours, each method tuned by the same rule, yaw / pitch over 6 s in %, "
         f"ranked by the geometric mean, those with lost windows last; {'; '.join(parts)}"
     )
-    return _row(UNCHECKABLE, "", [math.nan] * 3, "", evidence, "comparison_horizon", "make all")
+    return _row((UNCHECKABLE, ""), "", [math.nan] * 3, evidence, "comparison_horizon")
 
 
 def _windows(comparison):
     """Median errors over the multisines' windows: index (method, input), columns yaw, pitch and lost."""
     table = comparison[comparison["recording"].str.startswith("multisine")]
-    window = sorted(table["horizon"].unique())[-2]  # the longest is the free run
-    table = table[table["horizon"] == window]
-    errors = table.pivot_table(
-        index=["method", "input"], columns="angle", values="nrmse", aggfunc="median", dropna=False, sort=False
-    )
+    table = table[table["horizon"] == sorted(table["horizon"].unique())[-2]]  # the longest is the free run
+    groups = table.groupby(["method", "input", "angle"], sort=False)
+    errors = groups["nrmse"].median().unstack("angle", sort=False)
     return errors.assign(lost=table.groupby(["method", "input"])["diverged"].sum())
 
 
 def _yaw_pitch(errors, method, source):
     if (method, source) not in errors.index:
         return "-"
-    row = errors.loc[(method, source)]
-    return f"{row['yaw']:.3g} / {row['pitch']:.3g}"
+    return "{yaw:.3g} / {pitch:.3g}".format(**errors.loc[(method, source)])
 
 
-def starts(metrics):
+def starts(metrics: pd.DataFrame) -> dict:
     """C7: roll-outs from the true state of any instant, no settling, no tuning of the start."""
-    rows = _rows(metrics[(metrics["kind"] == "window") & (metrics["angle"] == "yaw")], **PAPERS_OWN)
+    rows, free = (_rows(metrics, kind=kind, angle="yaw", **PAPERS_OWN) for kind in ("window", "free run"))
     windows, diverged = int(rows["windows"].sum()), int(rows["diverged"].sum())
-    free = _rows(metrics[(metrics["kind"] == "free run") & (metrics["angle"] == "yaw")], **PAPERS_OWN)
-    verdict = REPRODUCED if windows and not diverged else NOT
     evidence = (
-        f"{windows} windows of {rows['horizon'].iloc[0]:g} s on {rows['recording'].nunique()} recordings, each started from the state measured at that instant: {diverged} "
-        f"diverged; of {int(free['windows'].sum())} free runs {int(free['diverged'].sum())}. All four states must be measured"
+        f"{windows} windows of {rows['horizon'].iloc[0]:g} s on {rows['recording'].nunique()} recordings, each started "
+        f"from the state measured at that instant: {diverged} diverged; of {int(free['windows'].sum())} free runs "
+        f"{int(free['diverged'].sum())}. All four states must be measured"
     )
     share = diverged / windows if windows else math.nan
-    return _row(
-        verdict,
-        "share of windows that diverged",
-        [share] * 3,
-        "default" if verdict == REPRODUCED else "",
-        evidence,
-        "fig3_overlay",
-        "make paper",
-    )
+    verdict = _verdict(windows and not diverged)
+    return _row(verdict, "share of windows that diverged", [share] * 3, evidence, "fig3_overlay", "make paper")
 
 
-def few_data(length):
+def few_data(length: pd.DataFrame) -> dict:
     """C8: share of stretches without a model, short and long, by plain least squares.
 
     Where the functions are dependent on the data, the pseudoinverse of (14) has a smaller rank than N and so has K: its
     eigenvalue zero is one of those of which the paper speaks.
     """
-    plain = length[length["fit"] == "plain"]
+    plain = _rows(length, fit="plain")
     most = plain["ratio"].max()
     parts, fails = [], {}
     for noise, part in plain.groupby("noise"):
         few, many = part[part["ratio"] <= 2], part[part["ratio"] == most]
         fails[noise] = short, long = few["failed"].mean(), many["failed"].mean()
-        by_dictionary = ", ".join(
-            f"{name} {100 * rows['failed'].mean():.0f} %" for name, rows in many.groupby("dictionary", sort=False)
-        )
+        shares = many.groupby("dictionary", sort=False)["failed"].mean()
+        by_dictionary = ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares.items())
         parts.append(
-            f"at {noise:g} % noise {100 * short:.0f} % of the stretches of at most 2 snapshot pairs a function have no logarithm ({100 * few['dependent'].mean():.0f} % "
-            f"because K is singular), of those of {most:g} pairs {100 * long:.0f} % ({by_dictionary})"
+            f"at {noise:g} % noise {100 * short:.0f} % of the stretches of at most 2 snapshot pairs a function have "
+            f"no logarithm ({100 * few['dependent'].mean():.0f} % because K is singular), of those of {most:g} pairs "
+            f"{100 * long:.0f} % ({by_dictionary})"
         )
     mended = [noise for noise, (short, long) in fails.items() if short > 0.05 and long < short / 2]
-    verdict = REPRODUCED if 0 in mended else NAMED if mended else NOT
-    reading = (
-        "default"
-        if verdict == REPRODUCED
-        else f"with measurement noise ({', '.join(f'{noise:g} %' for noise in mended)})"
-        if mended
-        else ""
-    )
-    first = min(fails)
-    numbers = [fails[first][0], fails[first][1], fails[first][0]]
-    return _row(
-        verdict,
-        f"share without a logarithm, short stretches, {first:g} % noise (low: long ones)",
-        numbers,
-        reading,
-        "; ".join(parts),
-        "robustness_length",
-        "make all",
-    )
+    levels = ", ".join(f"{noise:g} %" for noise in mended)
+    verdict = _verdict(0 in mended, f"with measurement noise ({levels})" if mended else "")
+    short, long = fails[min(fails)]
+    quantity = f"share without a logarithm, short stretches, {min(fails):g} % noise (low: long ones)"
+    return _row(verdict, quantity, [short, long, short], "; ".join(parts), "robustness_length")
 
 
-def cost(grid, metrics):
+def cost(grid: pd.DataFrame, metrics: pd.DataFrame) -> dict:
     """C9: how many functions, how many operations, and what a basis for mechanical systems makes of about as many."""
-    from tras.paper import effects
-
-    counts = [math.comb(channels + 3, 3) for channels in (6, 8)]
-    alike = {
-        "input": "torque",
-        "frequency_unit": "rad/s",
-        "state": "four_states",
-        "velocity_term": "corrected",
-        "nrmse_range": "validation_set",
-    }
-    monomials = _rows(effects.pairs_of_angles(grid), dictionary="monomials3", horizon="window", **alike)
-    mechanical = metrics[
-        (metrics["kind"] == "window")
-        & (metrics["model"] == "mechanical")
-        & (metrics["input"] == "torque")
-        & metrics["recording"].str.startswith("multisine")
-    ]
-    errors = {
-        angle: (monomials[angle].median(), mechanical.loc[mechanical["angle"] == angle, "nrmse"].median())
-        for angle in ("yaw", "pitch")
-    }
-    gain = min(theirs / ours for theirs, ours in errors.values())
+    few, many = (math.comb(channels + 3, 3) for channels in (6, 8))
+    monomials = _rows(effects.pairs_of_angles(grid), **_reading(input="torque", dictionary="monomials3"))
+    mechanical = _rows(metrics, kind="window", model="mechanical", input="torque")
+    mechanical = mechanical[mechanical["recording"].str.startswith("multisine")]
+    theirs = [monomials[angle].median() for angle in ("yaw", "pitch")]
+    ours = [_rows(mechanical, angle=angle)["nrmse"].median() for angle in ("yaw", "pitch")]
+    gain = min(error / smaller for error, smaller in zip(theirs, ours))
     lost = int(monomials["diverged"].sum() + (~monomials["has_model"]).sum())
     evidence = (
-        f"monomials of degree 3 are {counts[0]} for 4 states and 2 inputs and {counts[1]} with two rotor speeds more; K takes a multiple of N² operations a sample, "
-        f"{(counts[1] / counts[0]) ** 2:.1f} times as many. With torques {counts[0]} monomials miss yaw / pitch by {errors['yaw'][0]:.3g} / {errors['pitch'][0]:.3g} % ({lost} "
-        f"windows or fits lost), 81 functions for mechanical systems by {errors['yaw'][1]:.2g} / {errors['pitch'][1]:.2g} %"
+        f"monomials of degree 3 are {few} for 4 states and 2 inputs and {many} with two rotor speeds more; K takes a "
+        f"multiple of N² operations a sample, {(many / few) ** 2:.1f} times as many. With torques {few} monomials miss "
+        f"yaw / pitch by {theirs[0]:.3g} / {theirs[1]:.3g} % ({lost} windows or fits lost), 81 functions for "
+        f"mechanical systems by {ours[0]:.2g} / {ours[1]:.2g} %"
     )
-    verdict = REPRODUCED if gain > 10 and counts[1] > counts[0] else NOT
+    verdict = (REPRODUCED, "torque") if gain > 10 and many > few else (NOT, "")
     quantity = "error of 84 monomials over that of 81 mechanical functions, the smaller of both angles"
-    return _row(
-        verdict,
-        quantity,
-        [gain, math.nan, math.nan],
-        "torque" if verdict == REPRODUCED else "",
-        evidence,
-        "readings_effects",
-        "make all",
-    )
+    return _row(verdict, quantity, [gain, math.nan, math.nan], evidence, "readings_effects")
 
 
-def control(models):
+def control(models: dict) -> dict:
     """C10: state feedback (LQR) designed on the identified field, linearised at rest, against the true plant."""
-    from scipy import linalg
-
-    from tras.twin_rotor.plant import PlantParameters, jacobian, rest_point
-
     rest, torques = rest_point(PlantParameters()), np.zeros(2)
     A, B = jacobian(rest, torques, PlantParameters())
+    weights = np.diag([1.0, 0.1, 1.0, 0.1]), np.diag([10.0, 10.0])
     parts, rates = [], []
     for name, model in models.items():
         a, b = _linearised(model, rest, torques)
-        weight = np.diag([1.0, 0.1, 1.0, 0.1]), np.diag([10.0, 10.0])
-        gain = linalg.solve(weight[1], b.T @ linalg.solve_continuous_are(a, b, *weight))
-        rates.append(float(np.linalg.eigvals(A - B @ gain).real.max()))
-        parts.append(
-            f"{name}: slowest mode {rates[-1]:.2f} 1/s on the true plant, {np.linalg.eigvals(a - b @ gain).real.max():.2f} by design"
-        )
-    open_loop = float(np.linalg.eigvals(A).real.max())
-    verdict = REPRODUCED if rates[0] < min(0.0, 2 * open_loop) else NOT
+        gain = linalg.solve(weights[1], b.T @ linalg.solve_continuous_are(a, b, *weights))
+        design, plant = (_slowest(matrix) for matrix in (a - b @ gain, A - B @ gain))
+        rates.append(plant)
+        parts.append(f"{name}: slowest mode {plant:.2f} 1/s on the true plant, {design:.2f} by design")
     evidence = (
-        f"state feedback (LQR) designed on the identified vector field, linearised at rest, applied to the true plant ({open_loop:.2f} 1/s without it): "
-        + "; ".join(parts)
+        "state feedback (LQR) designed on the identified vector field, linearised at rest, applied to the true plant "
+        f"({_slowest(A):.2f} 1/s without it): {'; '.join(parts)}"
     )
+    verdict = REPRODUCED if rates[0] < min(0.0, 2 * _slowest(A)) else NOT
     quantity = "slowest mode of the true plant under feedback from the paper's dictionary (1/s)"
-    return _row(
-        verdict, quantity, [rates[0], min(rates), max(rates)], "torque, linearised at rest", evidence, "", "make all"
-    )
+    return _row((verdict, "torque, linearised at rest"), quantity, [rates[0], min(rates), max(rates)], evidence)
+
+
+def _slowest(matrix):
+    return float(np.linalg.eigvals(matrix).real.max())
 
 
 def _linearised(model, x, u, step=1e-4):
@@ -410,12 +287,15 @@ def text(rows):
 # --- parts ------------------------------------------------------------------------------------------------------------
 
 
-def _row(verdict, quantity, numbers, reading, evidence, figure, command):
-    value, low, high = (float(number) for number in numbers)
-    return {
-        "verdict": verdict, "quantity": quantity, "value": value, "low": low, "high": high, "reading": reading,
-        "evidence": evidence, "figure": f"figures/{figure}.png" if figure else "", "command": command,
-    }  # fmt: skip
+def _verdict(by_default, other=""):
+    """(verdict, reading): met by the default reading, by the ``other`` one if it has a name, or not at all."""
+    return (REPRODUCED, "default") if by_default else (NAMED, other) if other else (NOT, "")
+
+
+def _row(verdict, quantity, numbers, evidence, figure="", command="make all"):
+    values = dict(zip(("value", "low", "high"), map(float, numbers)))
+    about = {"evidence": evidence, "figure": f"figures/{figure}.png" if figure else "", "command": command}
+    return {"verdict": verdict[0], "reading": verdict[1], "quantity": quantity, **values, **about}
 
 
 def _rows(table, **choices):
@@ -425,10 +305,13 @@ def _rows(table, **choices):
     return table
 
 
+def _reading(**choices):
+    """The default reading with other choices, as far as it changes our numbers."""
+    return readings.Readings(**choices).model_dump(include=set(effects.OPTIONS))
+
+
 def _name(reading):
     """A reading by what is not the default in it."""
-    from tras.paper import readings
-
     default = readings.Readings().model_dump()
     departures = [name for name in default if name in reading and reading[name] != default[name]]
     return ", ".join(f"{name} {reading[name]}" for name in departures) or "default"

@@ -5,24 +5,24 @@ import pandas as pd
 
 from tras.paper import readings
 
-# The options that change our numbers
+# Options that change our numbers
 OPTIONS = ("input", "frequency_unit", "dictionary", "state", "horizon", "nrmse_range", "velocity_term")
 SEEDS = ("train_seed", "draw", "validation_seed")
+ONCE = "horizon != 'free_run' or nrmse_range == 'validation_set'"  # the range of a free run is the same twice
 
 
-def target(angle_names="words"):
+def target(angle_names: str = "words") -> tuple[float, float]:
     """The paper's NRMSE of our (yaw, pitch), in percent, by the reading ``angle_names``."""
     readings.Readings(angle_names=angle_names)  # raises on an unknown name
     values = tuple(readings.PAPER_NRMSE.values())
     return values if angle_names == "words" else values[::-1]  # phi is yaw in the paper's words, pitch in its equations
 
 
-def distance(yaw, pitch, angle_names="words"):
+def distance(yaw, pitch, angle_names: str = "words"):
     """Distance of two NRMSE (percent) from the paper's: root mean square of the two log ratios.
 
-    Errors are positive and their grid spans decades, so 2 % and 8 % are equally far from 4 %. Both angles have the
-    same weight, whatever the unit. A distance of 0.1 means typical deviations of 10 %, log 2 = 0.69 those by a factor
-    of two.
+    2 % and 8 % are equally far from 4 %, both angles have the same weight. A distance of 0.1 means typical deviations
+    of 10 %, log 2 = 0.69 those by a factor of two.
 
     Examples
     --------
@@ -34,7 +34,7 @@ def distance(yaw, pitch, angle_names="words"):
     return result if np.ndim(result) else float(result)
 
 
-def pairs_of_angles(table):
+def pairs_of_angles(table: pd.DataFrame) -> pd.DataFrame:
     """One row per point, validation seed, horizon and range, with the two angles side by side.
 
     Parameters
@@ -57,7 +57,7 @@ def pairs_of_angles(table):
     return result.reset_index()
 
 
-def summary(table):
+def summary(table: pd.DataFrame) -> pd.DataFrame:
     """One row per reading, over all of its seeds.
 
     Returns
@@ -72,14 +72,14 @@ def summary(table):
     for angle in ("yaw", "pitch"):
         values = groups[angle]
         parts |= {angle: values.median(), f"{angle}_lowest": values.min(), f"{angle}_highest": values.max()}
-    parts |= {"runs": groups.size(), "without_model": groups["has_model"].agg(lambda column: int((~column).sum()))}
+    parts |= {"runs": groups.size(), "without_model": groups.size() - groups["has_model"].sum()}
     parts |= {name: groups[name].sum() for name in ("windows", "diverged")}
     result = pd.DataFrame(parts).reset_index()
     result["complete"] = (result["without_model"] == 0) & (result["diverged"] == 0)
     return result
 
 
-def nearest(table):
+def nearest(table: pd.DataFrame) -> pd.DataFrame:
     """All complete readings, each under both namings of the angles, the nearest to the paper first.
 
     Returns
@@ -88,7 +88,7 @@ def nearest(table):
         As `summary`, with ``angle_names, distance`` (of the medians) and ``distance_lowest, distance_highest`` over the
         single runs. Free runs appear once, under the range of the validation set.
     """
-    complete = summary(table).query("complete and (horizon != 'free_run' or nrmse_range == 'validation_set')")
+    complete = summary(table).query(f"complete and ({ONCE})")
     runs = pairs_of_angles(table)
     parts = []
     for names in readings.choices("angle_names"):
@@ -99,13 +99,13 @@ def nearest(table):
     return pd.concat(parts).sort_values("distance", kind="stable", ignore_index=True)
 
 
-def departures(ranking, default):
+def departures(ranking: pd.DataFrame, default: readings.Readings) -> np.ndarray:
     """Number of options in which each row of `nearest` differs from the default reading: (rows,) int."""
     options = [*OPTIONS, "angle_names"]
     return (ranking[options] != [getattr(default, option) for option in options]).sum(axis=1).to_numpy()
 
 
-def chance(ranking, within, rng, *, among=None, draws=2000):
+def chance(ranking: pd.DataFrame, within: float, rng: np.random.Generator, *, among=None, draws: int = 2000) -> float:
     """Share of random pairs of numbers with a reading as near as ``within``: if it is large, nearness means little.
 
     Parameters
@@ -119,10 +119,6 @@ def chance(ranking, within, rng, *, among=None, draws=2000):
     among : (rows,) bool array_like, optional
         The readings that count; default all.
     draws : int
-
-    Returns
-    -------
-    float
     """
     logs, words = np.log(ranking[["yaw", "pitch"]].to_numpy()), (ranking["angle_names"] == "words").to_numpy()
     random = rng.uniform(*np.quantile(logs, [0.05, 0.95], axis=0), (draws, 2))
@@ -133,7 +129,7 @@ def chance(ranking, within, rng, *, among=None, draws=2000):
     return float(near.mean())
 
 
-def effects(table, default):
+def effects(table: pd.DataFrame, default: readings.Readings) -> pd.DataFrame:
     """Effect of each choice on the error: ratios of the NRMSE to that of the default choice, all else equal.
 
     Parameters
@@ -149,8 +145,7 @@ def effects(table, default):
         ``q05, q25, q75, q95`` of the ratio. The median over the draws stands for random centres. ``nrmse_range`` leaves
         out free runs, for which its choices do not differ.
     """
-    runs = pairs_of_angles(table)
-    rows = []
+    runs, rows = pairs_of_angles(table), []
     for option in OPTIONS:
         points = runs[runs["horizon"] != "free_run"] if option == "nrmse_range" else runs
         others = [name for name in (*OPTIONS, *SEEDS) if name not in (option, "draw")]
@@ -159,8 +154,6 @@ def effects(table, default):
             base = getattr(default, option)
             for choice in (name for name in readings.choices(option) if name != base and name in wide):
                 ratio = (wide[choice] / wide[base]).dropna()
-                quantiles = ratio.quantile([0.5, 0.05, 0.25, 0.75, 0.95]) if len(ratio) else [np.nan] * 5
-                counts = {"pairs": len(ratio), "lost": len(wide) - len(ratio)}
-                numbers = dict(zip(("median", "q05", "q25", "q75", "q95"), quantiles))
-                rows.append({"option": option, "choice": choice, "angle": angle, **counts, **numbers})
-    return pd.DataFrame(rows)
+                quantiles = ratio.quantile([0.5, 0.05, 0.25, 0.75, 0.95])
+                rows.append((option, choice, angle, len(ratio), len(wide) - len(ratio), *quantiles))
+    return pd.DataFrame(rows, columns="option choice angle pairs lost median q05 q25 q75 q95".split())

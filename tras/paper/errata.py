@@ -4,7 +4,13 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 
+from tras.dictionaries.monomials import Monomials
+from tras.generator import LogarithmError, principal_logarithm
+from tras.koopman import koopman_matrix
+from tras.metrics import bfr
+from tras.recording import Recording
 from tras.twin_rotor.plant import PlantParameters, PrintedPlant, rest_point, simulate_plant, vector_field
 from tras.workflow import files
 
@@ -19,29 +25,29 @@ def swapped_sides():
     p = PlantParameters()
     printed = -p.G_c / p.J_phi  # the printed right-hand side of psiddot at rest, level, no torque
     ours = float(vector_field(np.zeros(4), np.zeros(2), p)[3])
-    text = f"at rest, level and without torque the printed equation for ψ̈ gives {printed:.3g} rad/s²: gravity would turn the rig about the vertical; ours gives {ours:g}"
+    text = (
+        f"at rest, level and without torque the printed equation for ψ̈ gives {printed:.3g} rad/s²: "
+        f"gravity would turn the rig about the vertical; ours gives {ours:g}"
+    )
     return text, abs(printed) > 1 and ours == 0
 
 
 def energy_gained(plant, seconds=20.0):
-    """Energy after a free motion without friction and spring, over that at its start (J): what an exact plant keeps."""
+    """Largest change of the energy in a free motion without friction and spring, and its start above rest, in J."""
     frictionless = replace(plant, C_phi=0.0, C_psi=0.0, K_psi=0.0)
     start = rest_point(frictionless) + [0.8, 0.0, 1.0, 1.0]
     states = simulate_plant(start, np.zeros((round(seconds / 0.01) + 1, 2)), 0.01, frictionless)
     energy = PlantParameters.energy(frictionless, states)
-    return float(np.abs(energy - energy[0]).max()), float(energy[0] - energy_at_rest(frictionless))
-
-
-def energy_at_rest(plant):
-    return float(PlantParameters.energy(plant, rest_point(plant)))
+    at_rest = float(PlantParameters.energy(frictionless, rest_point(frictionless)))
+    return float(np.abs(energy - energy[0]).max()), float(energy[0] - at_rest)
 
 
 def velocity_term():
     """The printed term is no torque of any potential: without friction the energy must stay, and does not."""
     (printed, whole), (ours, _) = energy_gained(PrintedPlant()), energy_gained(PlantParameters())
     text = (
-        f"a free motion without friction or spring must keep its energy, {whole:.2g} J above rest: with the printed term it changes by up to {printed:.2g} J "
-        f"within 20 s, with ours by {_below(ours)} J"
+        f"a free motion without friction or spring must keep its energy, {whole:.2g} J above rest: with the printed "
+        f"term it changes by up to {printed:.2g} J within 20 s, with ours by {_below(ours)} J"
     )
     return text, printed > 0.1 * whole and ours < 1e-9 * whole
 
@@ -51,28 +57,27 @@ def first_power():
     masses = PlantParameters().masses()
 
     def inertia(power, unit):  # in kg m^2, computed with lengths in `unit` metres
-        m_m, l_m, m_t, l_t, m_cw, l_cw, J_x = (
-            masses[name] for name in ("m_m", "l_m", "m_t", "l_t", "m_cw", "l_cw", "J_x")
-        )
-        lengths = [length / unit for length in (l_m, l_t, l_cw)]
-        return (
-            m_m * lengths[0] ** 2 + m_t * lengths[1] ** 2 + 2 * m_cw * lengths[2] ** power + J_x / unit**2
-        ) * unit**2
+        main, tail, weight = (masses[name] / unit for name in ("l_m", "l_t", "l_cw"))
+        sum_of_rotors = masses["m_m"] * main**2 + masses["m_t"] * tail**2
+        return (sum_of_rotors + 2 * masses["m_cw"] * weight**power + masses["J_x"] / unit**2) * unit**2
 
     printed, ours = [[inertia(power, unit) for unit in (1.0, 1e-3)] for power in (1, 2)]
-    text = f"computed in metres the printed J_φ is {printed[0]:.4g} kg m², computed in millimetres {printed[1]:.4g} kg m²; ours is {ours[0]:.4g} in both"
+    text = (
+        f"computed in metres the printed J_φ is {printed[0]:.4g} kg m², computed in millimetres {printed[1]:.4g} "
+        f"kg m²; ours is {ours[0]:.4g} in both"
+    )
     return text, abs(printed[0] / printed[1] - 1) > 0.01 and math.isclose(*ours, rel_tol=1e-12)
 
 
 def names_of_angles():
     """Gravity lifts and lowers pitch; yaw turns about the vertical and feels none."""
-    p, at = PlantParameters(), np.zeros(4)
-    slopes = [
-        (PlantParameters.energy(p, at + 1e-6 * e) - PlantParameters.energy(p, at - 1e-6 * e)) / 2e-6
-        for e in np.eye(4)[[0, 2]]
-    ]
-    text = f"gravity's torque in the level position is {-slopes[0]:.3g} N m on φ and {-slopes[1] + 0.0:.3g} on ψ: φ is the angle that goes up and down"
-    return text, abs(slopes[0]) > 1e-2 and abs(slopes[1]) < 1e-9
+    plant, steps = PlantParameters(), 1e-6 * np.eye(4)[[0, 2]]  # level: all four states are zero
+    pitch, yaw = ((plant.energy(step) - plant.energy(-step)) / 2e-6 for step in steps)
+    text = (
+        f"gravity's torque in the level position is {-pitch:.3g} N m on φ and {-yaw + 0.0:.3g} on ψ: "
+        "φ is the angle that goes up and down"
+    )
+    return text, abs(pitch) > 1e-2 and abs(yaw) < 1e-9
 
 
 def lost_dots():
@@ -85,22 +90,18 @@ def lost_dots():
 def best_fit_ratio():
     """Without ``1 -`` the worst model has the best ratio."""
     x = np.sin(np.linspace(0, 10, 1000))
-    norm = np.linalg.norm(x - x.mean())
-    printed = [100 * max(np.linalg.norm(error * x) / norm, 0) for error in (0.0, 0.5, 2.0)]
-    from tras.metrics import bfr
-
-    ours = [float(bfr(x[:, None], (1 - error) * x[:, None])[0]) for error in (0.0, 0.5, 2.0)]
-    text = "a perfect prediction, one half off and one that is twice off have {:.3g}, {:.3g} and {:.3g} % as printed, ".format(
-        *printed
-    )
-    text += "and {:.3g}, {:.3g} and {:.3g} % here".format(*ours)
+    norm, errors = np.linalg.norm(x - x.mean()), (0.0, 0.5, 2.0)
+    printed = [100 * max(np.linalg.norm(error * x) / norm, 0) for error in errors]
+    ours = [float(bfr(x[:, None], (1 - error) * x[:, None])[0]) for error in errors]
+    text = (
+        "a perfect prediction, one half off and one that is twice off have {:.3g}, {:.3g} and {:.3g} % as printed, "
+        "and {:.3g}, {:.3g} and {:.3g} % here"
+    ).format(*printed, *ours)
     return text, printed == sorted(printed) and ours == sorted(ours, reverse=True) and ours[0] == 100
 
 
 def logarithm():
     """Eigenvalues with a negative real part have a principal logarithm; only the closed negative real axis has not."""
-    from tras.generator import LogarithmError, principal_logarithm
-
     angle = 0.75 * np.pi
     K = 0.9 * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     residual = principal_logarithm(K)[1]
@@ -110,8 +111,8 @@ def logarithm():
     except LogarithmError:
         refused = True
     text = (
-        f"a K with the eigenvalues {0.9 * np.cos(angle):.2f} ± {0.9 * np.sin(angle):.2f}i, real part negative, has one: exp(log K) misses K by {_below(residual)}. "
-        "One with the eigenvalue -0.5 has none, and is refused"
+        f"a K with the eigenvalues {0.9 * np.cos(angle):.2f} ± {0.9 * np.sin(angle):.2f}i, real part negative, "
+        f"has one: exp(log K) misses K by {_below(residual)}. One with the eigenvalue -0.5 has none, and is refused"
     )
     return text, residual < 1e-12 and refused
 
@@ -120,18 +121,14 @@ def one_vector():
     """(18) has N equations per point for n unknowns, F there: one F for all points would be a constant field."""
     n, N, points = 4, 9, 50_000
     text = (
-        f"read as one vector, (18) gives {n} numbers, the same velocity everywhere; a field F = W ψ of {N} functions has {n} x {N} = {n * N} coefficients, and "
-        f"{points} points give {N * points} equations for them"
+        f"read as one vector, (18) gives {n} numbers, the same velocity everywhere; a field F = W ψ of {N} functions "
+        f"has {n} x {N} = {n * N} coefficients, and {points} points give {N * points} equations for them"
     )
     return text, n < n * N < N * points
 
 
 def same_input():
     """If the input of the second row is the next one, K has to predict inputs, and the generator acts on them."""
-    from tras.dictionaries.monomials import Monomials
-    from tras.koopman import koopman_matrix
-    from tras.recording import Recording
-
     rng = np.random.default_rng(0)
     u = np.cumsum(rng.standard_normal((20, 100, 1)), axis=1)
     x = np.zeros((20, 100, 1))
@@ -141,55 +138,59 @@ def same_input():
     ours = koopman_matrix(psi, Recording(x, u, 0.1))[0]
     before, after = psi(x[:, :-1], u[:, :-1]).reshape(-1, 3), psi(x[:, 1:], u[:, 1:]).reshape(-1, 3)
     other = np.linalg.lstsq(before, after, rcond=None)[0]
-    moved = [float(np.abs(K[:, 2] - [0, 0, 1]).max()) for K in (ours, other)]
-    text = f"with the next input in the second row K moves the input by {moved[1]:.2g} of itself in a sample, in this random walk; with the same one by {_below(moved[0])}"
-    return text, moved[0] < 1e-12 < 1e-3 < moved[1]
+    same, following = [float(np.abs(K[:, 2] - [0, 0, 1]).max()) for K in (ours, other)]
+    text = (
+        f"with the next input in the second row K moves the input by {following:.2g} of itself in a sample, "
+        f"in this random walk; with the same one by {_below(same)}"
+    )
+    return text, same < 1e-12 < 1e-3 < following
 
 
 def samples():
     """Trajectories that share end points."""
-    shared = 100 * 501 - 99
-    return (
-        f"100 x 501 = {100 * 501} samples are not 50001; 100 pieces that share their end points are: 100 x 501 - 99 = {shared}",
-        shared == 50001,
-    )
+    apart, shared = 100 * 501, 100 * 501 - 99
+    text = f"100 x 501 = {apart} samples are not 50001; 100 pieces that share their end points are: "
+    return text + f"100 x 501 - 99 = {shared}", shared == 50001
 
 
 def six_seconds():
     """A window of 6 s does not fit into a trajectory of 501 samples at 0.01 s."""
-    return (
-        f"a trajectory of 501 samples at 0.01 s lasts {500 * 0.01:g} s, so a window of 6 s needs {round(6 / 0.01) + 1} samples",
-        500 * 0.01 < 6,
-    )
+    lasts, needed = 500 * 0.01, round(6 / 0.01) + 1
+    text = f"a trajectory of 501 samples at 0.01 s lasts {lasts:g} s, so a window of 6 s needs {needed} samples"
+    return text, lasts < 6
 
 
 def references():
     """What each of (16) to (18) builds on, by its content."""
-    return (
-        "(17) is the finite form of (16), not of (17); the field solves (17), not (18): each number is one too high, counted in another paper",
-        None,
-    )
+    text = "(17) is the finite form of (16), not of (17); the field solves (17), not (18): "
+    return text + "each number is one too high, counted in another paper", None
 
 
 # What is printed, what stands here, why, and the computation that shows it.
 ERRORS = (
     ("the two left-hand sides ψ̈, φ̈", "swapped", "u_φ, C_φ, K_g belong to pitch; K_ψ, J_ψ to yaw", swapped_sides),
     ("J ψ²/2 sin 2φ", "J ψ̇²/2 sin 2φ", "units; the printed form creates energy", velocity_term),
-    ("2 m_cw l_cw in J_ψ, J_φ, J", "2 m_cw l_cw²", "kg m against kg m²; the first power is right in K_g only", first_power),
-    ("“φ azimuth, ψ pitch”, “yaw angle (φ), pitch angle (ψ)”", "φ is pitch, ψ is yaw", "gravity and cos² act on φ", names_of_angles),
+    ("2 m_cw l_cw in J_ψ, J_φ, J", "2 m_cw l_cw²", "kg m against kg m²; the first power is right in K_g only",
+     first_power),
+    ("“φ azimuth, ψ pitch”, “yaw angle (φ), pitch angle (ψ)”", "φ is pitch, ψ is yaw", "gravity and cos² act on φ",
+     names_of_angles),
     ("x = [φ φ ψ ψ]", "[φ φ̇ ψ ψ̇]", "lost dots", lost_dots),
     ("BFR (20) without “1 −”", "100 max(1 − ‖x − x̂‖/‖x − x̄‖, 0)", "as printed, larger would be worse", best_fit_ratio),
-    ("logarithm needs eigenvalues “with non-negative real components”", "no eigenvalue on the closed negative real axis",
+    ("logarithm needs eigenvalues “with non-negative real components”",
+     "no eigenvalue on the closed negative real axis",
      "the definition (Higham, *Functions of Matrices*, Thm. 1.31)", logarithm),
     ("(18) as a single vector", "solved for the matrix W of F(x, u) = W ψ(x, u)", "dimensions", one_vector),
-    ("snapshot pair (x_k, u_k) : (y_k, u_k)", "the same u_k in both rows, y_k the flow over Ts", "so that the generator does not act on u", same_input),
-    ("501 steps x 100 trajectories (50100)", "100 pieces of 501 that share end points: 50001 samples, 50000 pairs", "the count", samples),
-    ("Fig. 3 “6-second window”, 5 s trajectories", "both: 5 s for fitting, 6 s windows for validation", "conflict in the text", six_seconds),
+    ("snapshot pair (x_k, u_k) : (y_k, u_k)", "the same u_k in both rows, y_k the flow over Ts",
+     "so that the generator does not act on u", same_input),
+    ("501 steps x 100 trajectories (50100)", "100 pieces of 501 that share end points: 50001 samples, 50000 pairs",
+     "the count", samples),
+    ("Fig. 3 “6-second window”, 5 s trajectories", "both: 5 s for fitting, 6 s windows for validation",
+     "conflict in the text", six_seconds),
     ("cross references at (16) to (18)", "shifted by one", "copied numbering", references),
 )  # fmt: skip
 
 
-def table():
+def table() -> pd.DataFrame:
     """All errors with their evidence, computed now.
 
     Returns
@@ -198,16 +199,14 @@ def table():
         Columns ``printed, here, why, evidence`` (a sentence with its numbers) and ``shown`` (whether the computation
         shows the error; None where there is nothing to compute).
     """
-    import pandas as pd
-
     rows = []
-    for printed, here, why, show in ERRORS:
+    for *texts, show in ERRORS:
         evidence, shown = show()
-        rows.append((printed, here, why, evidence, None if shown is None else bool(shown)))
+        rows.append((*texts, evidence, None if shown is None else bool(shown)))
     return pd.DataFrame(rows, columns=["printed", "here", "why", "evidence", "shown"])
 
 
-def markdown(errors=None):
+def markdown(errors: pd.DataFrame | None = None) -> str:
     """The table as Markdown, computed now if it is not at hand."""
     errors = table() if errors is None else errors
     rows = errors[["printed", "here", "why", "evidence"]].itertuples(index=False)

@@ -1,10 +1,8 @@
-"""The whole grid of readings (`tras.paper.readings`): every combination simulated, identified and judged, over several seeds.
+"""Every combination of the readings (`tras.paper.readings`) simulated, identified and judged, over several seeds.
 
-What can be shared is shared. A recording is simulated once for each ``frequency_unit``, ``velocity_term`` and seed; ``input``, ``state`` and
-``dictionary`` select from it and give a fit, a *point*; ``horizon``, ``nrmse_range`` and ``angle_names`` only look at the fit in other ways. As in
-the paper a fit is by plain least squares, its field by (18), and trusted beyond the data.
-
-`run` does it all, in processes, with every result kept in a small file, so that a killed run goes on where it was.
+A recording is simulated once for each ``frequency_unit``, ``velocity_term`` and seed; ``input``, ``state`` and
+``dictionary`` select from it and give a fit, a *point*; ``horizon``, ``nrmse_range`` and ``angle_names`` only look at
+the fit in other ways. As in the paper a fit is by plain least squares, its field by (18), and trusted beyond the data.
 """
 
 import itertools
@@ -43,7 +41,7 @@ EXPERIMENT = ("duration", "sampling_time", "max_frequency", "peak", "max_correla
 
 @dataclass(frozen=True)
 class Study:
-    """The experiment that the grid repeats, and over which seeds; times in s, frequencies in the unit that is read, peaks in rad.
+    """The experiment and its seeds; times in s, frequencies in the unit that is read, peaks in rad.
 
     ``centre_draws`` are the seeds of the random centres: other dictionaries are fitted once for each training seed.
     """
@@ -62,47 +60,43 @@ class Study:
     centre_draws: tuple[int, ...] = (0, 1, 2)
 
 
-def dictionary(name, draw=0):
+def dictionary(name: str, draw: int = 0):
     """The dictionary that a choice of the reading ``dictionary`` means, its centres drawn by the seed ``draw``."""
     makers = {
-        "gaussian": lambda: GaussianRBF(2, 1.0, draw), "gaussian28": lambda: GaussianRBF(28, 1.0, draw), "monomials2": lambda: Monomials(2),
-        "monomials3": lambda: Monomials(3), "exponentials": lambda: Exponentials(1), "linear": lambda: Monomials(1),
+        "gaussian": lambda: GaussianRBF(2, 1.0, draw), "gaussian28": lambda: GaussianRBF(28, 1.0, draw),
+        "monomials2": lambda: Monomials(2), "monomials3": lambda: Monomials(3),
+        "exponentials": lambda: Exponentials(1), "linear": lambda: Monomials(1),
     }  # fmt: skip
-    if name not in makers:
-        raise readings.ReadingError(f"dictionary is {name!r}: choose one of {', '.join(makers)}.")
-    return makers[name]()
+    return makers[readings.Readings(dictionary=name).dictionary]()
 
 
-def points(study, only=None):
-    """All fits of the grid, or those of some choices: a list of dicts with the options in `FIT`, ``train_seed`` and ``draw``.
+def points(study: Study, only: dict | None = None) -> list[dict]:
+    """All fits of the grid, or those of some choices: dicts with the options in `FIT`, ``train_seed`` and ``draw``.
 
     ``only`` is a dict option -> choices, for example ``{"input": ["torque"]}``.
     """
-    kept = {option: readings.choices(option) for option in FIT}
+    choices = {option: readings.choices(option) for option in FIT}
     for option, some in (only or {}).items():
-        if option not in kept:
-            raise readings.ReadingError(
-                f"only names {option!r}, which makes no other fit: choose among {', '.join(FIT)}."
-            )
-        kept[option] = [getattr(readings.Readings(**{option: choice}), option) for choice in some]
-    found = []
-    for combination in itertools.product(*kept.values()):
+        if option not in choices:
+            known = ", ".join(FIT)
+            raise readings.ReadingError(f"only names {option!r}, which makes no other fit: choose among {known}.")
+        choices[option] = [getattr(readings.Readings(**{option: choice}), option) for choice in some]
+    result = []
+    for combination in itertools.product(*choices.values()):
         options = dict(zip(FIT, combination))
-        for seed, draw in itertools.product(
-            study.train_seeds, study.centre_draws if options["dictionary"] in DRAWN else study.centre_draws[:1]
-        ):
-            found.append({**options, "train_seed": seed, "draw": draw})
-    return found
+        draws = study.centre_draws if options["dictionary"] in DRAWN else study.centre_draws[:1]
+        result += [{**options, "train_seed": seed, "draw": draw} for seed in study.train_seeds for draw in draws]
+    return result
 
 
-def run(study, folder, *, only=None, processes=2, progress=None):
+def run(study: Study, folder, *, only: dict | None = None, processes: int = 2, progress=None):
     """The whole grid, or a part of it.
 
     Parameters
     ----------
     study : Study
     folder : str or Path
-        Of the cache, for one run at a time. What is found there is not computed again.
+        Of the cache, for one run at a time. What is there is not computed again.
     only : dict, optional
         As in `points`.
     processes : int
@@ -118,61 +112,57 @@ def run(study, folder, *, only=None, processes=2, progress=None):
     counts : dict
         ``computed, cached``: points whose fit was computed, or found in the cache.
     """
-    folder, code, wanted = Path(folder), cache.code_digest("tras.paper.grid"), points(study, only)
+    code, cases = cache.code_digest("tras.paper.grid"), points(study, only)
     names = [name for name in vars(study) if name not in ("train_seeds", "centre_draws")]  # a point has its own
     about = cache.plain({name: getattr(study, name) for name in names})
-    parts, place = (study, folder, code), {"progress": progress or False, "processes": processes}
-    options = {"folder": folder, "code": code, **place}
+    shared, executor = (study, Path(folder), code), {"progress": progress or False, "processes": processes}
+    options = {"folder": folder, "code": code, **executor}
 
     def simulated(missing):
         """Have all recordings in the cache first, so that each is simulated once."""
         seeds = [(point, seed) for point in missing for seed in (point["train_seed"], *study.validation_seeds)]
         jobs = {(*(point[name] for name in SIMULATION), seed) for point, seed in seeds}
         cache.clear_temporaries(folder, "recording")
-        each(_simulated, sorted(jobs), parts, title="simulate", **place)
-        return parts
+        each(_simulated, sorted(jobs), shared, title="simulate", **executor)
+        return shared
 
-    keys = [{**about, **point} for point in wanted]
-    values, counts = compute(_fitted, wanted, simulated, keys=keys, title="identify", **options)
+    keys = [{**about, **point} for point in cases]
+    values, counts = compute(_fitted, cases, simulated, keys=keys, title="identify", **options)
     groups = {}  # of models that run freely together
-    for point, value in zip(wanted, values):
+    for point, value in zip(cases, values):
         if value["rows"]:
             label = tuple(point[name] for name in ("state", "dictionary", "draw"))
             groups.setdefault(label, []).append((point, value["field"]))
-    groups, names = list(groups.values()), {"title": "run freely", "unit": " groups", "kind": "free"}
+    groups = list(groups.values())
     keys = [{**about, "points": [_name(point) for point, _ in group]} for group in groups]
-    free, _ = compute(_run_freely, groups, parts, keys=keys, **names, **options)
-    rows = {name: rows for group in free for name, rows in group.items()}
-    parts = [_table_rows(study, point, value, rows.get(_name(point), [])) for point, value in zip(wanted, values)]
+    names = {"title": "run freely", "unit": " groups", "kind": "free"}
+    free, _ = compute(_run_freely, groups, shared, keys=keys, **names, **options)
+    free = {name: rows for group in free for name, rows in group.items()}
+    parts = [_table_rows(study, point, value, free.get(_name(point), [])) for point, value in zip(cases, values)]
     return pd.DataFrame([row for part in parts for row in part]), counts
 
 
-# ------------------------------------------------------------------------------------------------------------ the parts
+# --- the parts --------------------------------------------------------------------------------------------------------
 
 
-def simulate(study, frequency_unit, velocity_term, seed):
+def simulate(study: Study, frequency_unit: str, velocity_term: str, seed: int) -> Recording:
     """One recording of the experiment under two readings, all channels."""
     band = [FREQUENCY[frequency_unit] * f for f in study.max_frequency]
-    rng = np.random.default_rng(seed)
-    reference = multisine(
-        study.duration, study.sampling_time, band, study.peak, rng, max_correlation=study.max_correlation
-    )
-    return simulate_closed_loop(reference, study.sampling_time, PLANTS[velocity_term]())
+    rng, dt = np.random.default_rng(seed), study.sampling_time
+    reference = multisine(study.duration, dt, band, study.peak, rng, max_correlation=study.max_correlation)
+    return simulate_closed_loop(reference, dt, PLANTS[velocity_term]())
 
 
-def training(study, recording, point):
+def training(study: Study, recording: Recording, point: dict) -> Recording:
     """The part of a recording that a point is fitted to."""
-    return select(
-        recording.cut(round(study.trajectory / recording.dt) + 1).split(study.train_fraction, study.split_seed)[0],
-        point,
-    )
+    pieces = recording.cut(round(study.trajectory / recording.dt) + 1)
+    return select(pieces.split(study.train_fraction, study.split_seed)[0], point)
 
 
-def fit(point, recording):
+def fit(point: dict, recording: Recording) -> tuple[KoopmanModel | None, str]:
     """The model of a point, from `training` data: (KoopmanModel, "model"), or (None, why there is none)."""
-    model = KoopmanModel(
-        dictionary(point["dictionary"], point["draw"]), "vector_field", STATES[point["state"]][1], **readings.PAPER_FIT
-    )
+    functions, delays = dictionary(point["dictionary"], point["draw"]), STATES[point["state"]][1]
+    model = KoopmanModel(functions, "vector_field", delays, **readings.PAPER_FIT)
     try:
         with np.errstate(all="ignore"):  # a fit that fails says so itself
             return model.fit(recording), "model"
@@ -184,10 +174,10 @@ def fit(point, recording):
         return None, "no model: dependent functions" if "linearly dependent" in str(error) else f"no model: {error}"
 
 
-def judge_windows(study, model, recordings):
-    """Errors over windows and trajectories: rows with ``validation_seed, horizon, nrmse_range, angle, nrmse, windows, diverged``.
+def judge_windows(study: Study, model: KoopmanModel, recordings: dict[int, Recording]) -> list[dict]:
+    """Errors over windows and trajectories, all rolled out together.
 
-    All windows of both lengths are rolled out together.
+    The rows have ``validation_seed, horizon, nrmse_range, angle, nrmse, windows, diverged``.
     """
     cut = {
         (seed, horizon): recording.cut(round(getattr(study, horizon) / recording.dt) + 1)
@@ -203,39 +193,33 @@ def judge_windows(study, model, recordings):
     return rows
 
 
-def rows_of(windows, prediction, **labels):
+def rows_of(windows: Recording, prediction: np.ndarray, **labels) -> list[dict]:
     """NRMSE of predictions of one recording's windows: a row for each range and angle, with these labels."""
-    judged = {}
-    for name, range_over in RANGES.items():  # of a single window both ranges are the same
-        judged[name] = (
-            validation.judge(windows, prediction, range_over=range_over)
-            if len(windows) > 1 or not judged
-            else [*judged.values()][0]
-        )
-    keys = ("angle", "nrmse", "windows", "diverged")
-    return [
-        {**labels, "nrmse_range": name, **{key: row[key] for key in keys}}
-        for name, rows in judged.items()
-        for row in rows
-    ]
+    rows, scores = [], None
+    for name, range_over in RANGES.items():
+        if scores is None or len(windows) > 1:  # of a single window both ranges are the same
+            scores = validation.judge(windows, prediction, range_over=range_over)
+        keys = ("angle", "nrmse", "windows", "diverged")
+        rows += [{**labels, "nrmse_range": name, **{key: row[key] for key in keys}} for row in scores]
+    return rows
 
 
-def select(recording, point):
+def select(recording: Recording, point: dict) -> Recording:
     """The channels of a recording that a point knows."""
     return recording.select(states=STATES[point["state"]][0], inputs=INPUTS[point["input"]])
 
 
-def judge_free_runs(point, fields, truths):
-    """Errors of free runs: as `judge_windows`, one list of rows a model.
+def judge_free_runs(point: dict, fields: list[dict], truths: list[dict]) -> list[list[dict]]:
+    """Errors of free runs: as `judge_windows`, one list of rows per model.
 
     Parameters
     ----------
     point : dict
         Of one of the models; all share its dictionary, draw and state.
     fields : list of dict
-        From `tras.paper.validation.field_of`, one a model.
+        From `tras.paper.validation.field_of`, one per model.
     truths : list of dict
-        Validation seed -> recording, one dict a model.
+        Validation seed -> recording, one dict per model.
     """
     channels, delays = STATES[point["state"]]
     lifted = dictionary(point["dictionary"], point["draw"])
@@ -244,15 +228,15 @@ def judge_free_runs(point, fields, truths):
     starts = np.stack([[r.states[0, : delays + 1] for r in truth.values()] for truth in truths])
     rows = [[] for _ in fields]
     for substeps in sorted({field["substeps"] for field in fields}):
-        chosen = [i for i, field in enumerate(fields) if field["substeps"] == substeps]
-        predicted = validation.free_runs(lifted, [fields[i] for i in chosen], starts[chosen], inputs[chosen])
-        for i, runs in zip(chosen, predicted):
+        alike = [i for i, field in enumerate(fields) if field["substeps"] == substeps]
+        predicted = validation.free_runs(lifted, [fields[i] for i in alike], starts[alike], inputs[alike])
+        for i, runs in zip(alike, predicted):
             for (seed, truth), run in zip(truths[i].items(), runs):
                 rows[i] += rows_of(truth, run[None], validation_seed=seed, horizon="free_run")
     return rows
 
 
-# ------------------------------------------------------------------------------------- what a process does of a run
+# --- what a process does of a run -------------------------------------------------------------------------------------
 
 
 def _simulated(study, folder, code, frequency_unit, velocity_term, seed):
@@ -289,10 +273,10 @@ def _fitted(study, folder, code, point):
 
 
 def _run_freely(study, folder, code, group):
-    """Free runs of the models of one dictionary, draw and state on all validation recordings: name of a point -> rows."""
+    """Free runs of the models of one dictionary, draw and state on all validation recordings: point's name -> rows."""
     some, fields = zip(*group)
     rows = judge_free_runs(some[0], fields, [_validation(study, folder, code, point) for point in some])
-    return {_name(point): own for point, own in zip(some, rows)}
+    return dict(zip(map(_name, some), rows))
 
 
 def _name(point):

@@ -46,7 +46,7 @@ class Sources(NamedTuple):
         return path
 
 
-def render(text, sources):
+def render(text: str, sources: Sources) -> str:
     """``text`` with every lookup replaced by its number, which no Markdown in a table can break out of.
 
     Parameters
@@ -79,7 +79,7 @@ def render(text, sources):
         raise ValueError(f"a lookup is not understood ({error}): write {usage}.") from None
 
 
-def number(value, spec="g"):
+def number(value, spec: str = "g") -> str:
     """A value of a table as text: formatted when it is a number, ``–`` when there is none.
 
     Examples
@@ -105,7 +105,7 @@ _ENVIRONMENT = SandboxedEnvironment(
 _ENVIRONMENT.filters["number"] = number
 
 
-def record(path):
+def record(path: Path) -> dict:
     """What `tras.workflow.runner` wrote beside an executed notebook, as a dictionary."""
     try:
         return dict(json.loads(path.read_text(encoding="utf-8")))
@@ -113,13 +113,13 @@ def record(path):
         raise ValueError(f"{path} is no record of a run: delete it, and make all runs the stage anew.") from None
 
 
-def frame(name, sources):
+def frame(name: str, sources: Sources):
     """A table of the sources as a pandas.DataFrame; the same object for the same file."""
     path = sources.path(name)
     return _read(path, path.stat().st_mtime_ns)
 
 
-def table(spec, sources):
+def table(spec: dict, sources: Sources) -> tuple[list[str], list[list[str]], int]:
     """A table of a table: some of its columns and rows, or a summary.
 
     Parameters
@@ -141,13 +141,10 @@ def table(spec, sources):
     name, formats = spec["file"], spec.get("format", "g")
     rows = _selected(frame(name, sources), spec.get("where", {}), name)
     if "rows" in spec:
-        across, groups = _summary(rows, spec, name)
+        across, cells = _summary(rows, spec, name)
         head = [*spec["rows"].values(), *(spec.get("heading", "{}").format(number(value)) for value in across)]
-        return (
-            head,
-            [[*map(number, key), *(number(value, formats) for value in values)] for key, values in groups],
-            len(spec["rows"]),
-        )
+        cells = [[*map(number, key), *(number(value, formats) for value in values)] for key, values in cells]
+        return head, cells, len(spec["rows"])
     rows = rows.head(spec.get("first", len(rows)))
     formats = [formats.get(column, "g") if isinstance(formats, dict) else formats for column in spec["columns"]]
     cells = zip(*(_column(rows, column, name) for column in spec["columns"]))
@@ -161,16 +158,15 @@ def _summary(rows, spec, name):
     """What stands across, and for each group of rows its key and the numbers below that."""
     for column in (*spec["rows"], *([spec["across"]] if "across" in spec else [])):
         _column(rows, column, name)
-    groups = list(rows.groupby(list(spec["rows"]), sort=False))
+    groups = rows.groupby(list(spec["rows"]), sort=False)
     if "across" not in spec:
-        return list(spec["values"]), [
-            (key, [_total(part, what, name) for what in spec["values"].values()]) for key, part in groups
-        ]
-    across = list(dict.fromkeys(rows[spec["across"]]))
-    cells = [(key, [part[part[spec["across"]] == value] for value in across]) for key, part in groups]
-    return across, [
-        (key, [_total(cell, spec["value"], name) if len(cell) else None for cell in row]) for key, row in cells
-    ]
+        totals = spec["values"]
+        return list(totals), [(key, [_total(part, what, name) for what in totals.values()]) for key, part in groups]
+    across, cells = list(dict.fromkeys(rows[spec["across"]])), []
+    for key, part in groups:
+        parts = [part[part[spec["across"]] == value] for value in across]
+        cells.append((key, [_total(cell, spec["value"], name) if len(cell) else None for cell in parts]))
+    return across, cells
 
 
 @functools.lru_cache(maxsize=64)

@@ -1,7 +1,7 @@
-"""The tables of README.md and docs/paper.md, each between its two markers: print, write or check them.
+"""The tables of README.md and docs/paper.md, each between its two markers.
 
-``python -m tras.paper.pages`` prints them, or those that are named; with ``--write`` it writes them into their pages (`make
-readme`); with ``--check`` it says which page holds another one.
+``python -m tras.paper.pages`` prints them, or those that are named; with ``--write`` it writes them into their pages
+(`make readme`); with ``--check`` it says which page holds another one.
 """
 
 import argparse
@@ -12,57 +12,39 @@ from tras.paper import tables
 from tras.workflow.arguments import did_you_mean
 from tras.workflow.files import write_between
 
-# What a table needs is imported when it is asked for: `make all` prints one, and fast.
-
-
-def _claims(rows):
-    from tras.paper import claims
-
-    return claims.markdown(rows)
-
-
-def _claims_text(rows):
-    from tras.paper import claims
-
-    return claims.text(rows)
-
-
-def _errata():
-    from tras.paper import errata
-
-    return errata.markdown()
-
-
-def _readings():
-    from tras.paper import readings
-
-    return readings.markdown()
-
-
-TABLES = {  # name -> (page, CSV file whose rows go in, if any; the table in Markdown; for a terminal, if that is another)
-    "table": ("README.md", "figures/table.csv", tables.markdown, tables.text),
-    "comparison": ("README.md", "data/comparison.csv", tables.methods_markdown, None),
-    "claims": ("README.md", "data/claims.csv", _claims, _claims_text),
-    "errors": ("docs/paper.md", "", _errata, None),
-    "readings": ("docs/paper.md", "", _readings, None),
+TABLES = {  # name -> page, CSV file of its rows, function of its module for Markdown, the one for a terminal
+    "table": ("README.md", "figures/table.csv", "markdown", "text"),
+    "comparison": ("README.md", "data/comparison.csv", "methods_markdown", "methods_markdown"),
+    "claims": ("README.md", "data/claims.csv", "markdown", "text"),
+    "errors": ("docs/paper.md", "", "markdown", "markdown"),
+    "readings": ("docs/paper.md", "", "markdown", "markdown"),
 }
 
 
-def markers(name):
+def _module(name):
+    """The module of a table, imported when it is asked for: `make all` prints one, and fast."""
+    if name == "claims":
+        from tras.paper import claims as module
+    elif name == "errors":
+        from tras.paper import errata as module
+    elif name == "readings":
+        from tras.paper import readings as module
+    else:
+        module = tables
+    return module
+
+
+def markers(name: str) -> tuple[str, str]:
     """The two lines between which a page holds the table ``name``."""
     return f"<!-- {name}: written by `make readme` -->", f"<!-- end of {name} -->"
 
 
-def main(arguments=None):
+def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tras.paper.pages", description="Print the tables of README and docs, or write them there."
-    )
+    parser = argparse.ArgumentParser(prog="python -m tras.paper.pages", description=__doc__.partition("\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join(TABLES)}; all of them if none is named")
-    parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the data (default: data)")
-    parser.add_argument(
-        "--figures", type=Path, default=Path("figures"), help="folder of the figures (default: figures)"
-    )
+    for folder in ("data", "figures"):
+        parser.add_argument(f"--{folder}", type=Path, default=Path(folder), help="folder (default: %(default)s)")
     parser.add_argument("--pages", type=Path, default=Path(), help="folder of README.md and docs/ (default: this one)")
     parser.add_argument("--write", action="store_true", help="write the tables into the pages, between their markers")
     parser.add_argument("--check", action="store_true", help="say whether the pages hold the tables as they are now")
@@ -72,18 +54,18 @@ def main(arguments=None):
             if name not in TABLES:
                 raise ValueError(f"there is no table {name!r}{did_you_mean(name, TABLES)}")
             page, file, as_markdown, as_text = TABLES[name]
-            page, path = (
-                options.pages / page,
-                (options.data if file.startswith("data/") else options.figures) / Path(file).name,
-            )
-            if file and not path.is_file():
-                raise ValueError(f"{path} does not exist; `make all` makes it.")
-            rows = [tables.read(path)] if file else []
-            content = as_markdown(*rows)
+            page, rows = options.pages / page, []
+            if file:
+                folder, _, file = file.partition("/")
+                path = getattr(options, folder) / file
+                if not path.is_file():
+                    raise ValueError(f"{path} does not exist; `make all` makes it.")
+                rows = [tables.read(path)]
+            content = getattr(_module(name), as_markdown)(*rows)
             if options.write:
                 write_between(page, *markers(name), content)
                 continue
-            print(as_text(*rows) if as_text else content)
+            print(content if as_text == as_markdown else getattr(_module(name), as_text)(*rows))
             if options.check and content not in page.read_text(encoding="utf-8"):
                 print(f"\n{page} holds another table; `make readme` writes this one into it.")
     except (OSError, ValueError, KeyError) as error:

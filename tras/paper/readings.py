@@ -1,12 +1,12 @@
-"""What the paper's text leaves open, as named options: one per point of the text, with its choices and a default.
+"""What the paper's text leaves open, as named options with a default; a `Readings` holds one choice per option.
 
-A `Readings` holds one choice per option; `table` lists the choices beside the paper's sentence that the option reads;
-`read_yaml` reads them from a parameter file. `tras.paper.grid` studies all combinations.
+`tras.paper.grid` studies all combinations.
 """
 
 from pathlib import Path
 from typing import Literal
 
+import pandas as pd
 import pydantic
 
 from tras.workflow.arguments import did_you_mean
@@ -94,15 +94,11 @@ class ReadingError(ValueError):
     """An option or a choice that the readings do not have."""
 
 
-def choices(option):
+def choices(option: str) -> tuple[str, ...]:
     """The choices of an option, the default first."""
     if option not in OPTIONS:
         raise ReadingError(f"there is no reading {option!r}{did_you_mean(option, OPTIONS)}")
     return tuple(OPTIONS[option][1])
-
-
-def _field(option):
-    return Literal[choices(option)], pydantic.Field(default=choices(option)[0], description=OPTIONS[option][0])
 
 
 class _Frozen(pydantic.BaseModel):
@@ -124,7 +120,7 @@ class _Frozen(pydantic.BaseModel):
         return type(self)(**{**self.model_dump(), **changes})
 
 
-_FIELDS = {option: _field(option) for option in OPTIONS}
+_FIELDS = {option: (Literal[choices(option)], choices(option)[0]) for option in OPTIONS}
 Readings = pydantic.create_model("Readings", __base__=_Frozen, __module__=__name__, **_FIELDS)
 Readings.__doc__ = """One choice for every open point of the text, frozen and checked; the defaults are this project's.
 
@@ -149,7 +145,7 @@ tras.paper.readings.ReadingError: dictionary is 'monomial2': did you mean 'monom
 """
 
 
-def table():
+def table() -> pd.DataFrame:
     """All options and choices, one row per choice.
 
     Returns
@@ -158,8 +154,6 @@ def table():
         Columns ``option, choice, default`` (True for one choice per option), ``meaning``, and ``paper``: the sentence
         that the option reads.
     """
-    import pandas as pd
-
     rows = [
         (option, choice, choice == choices(option)[0], meaning, sentence)
         for option, (sentence, meanings) in OPTIONS.items()
@@ -168,50 +162,47 @@ def table():
     return pd.DataFrame(rows, columns=["option", "choice", "default", "meaning", "paper"])
 
 
-def markdown():
-    """The same for docs and notebooks: one row per option, the default first. Formulas stand in ``$...$``."""
+def markdown() -> str:
+    """The same for docs and notebooks: one row per option. Formulas stand in ``$...$``."""
     lines = [("option", "the paper", "choices, the default first")]
     for option, (sentence, meanings) in OPTIONS.items():
-        quoted = (
-            f"${sentence}$" if sentence.startswith("\\") or "\\frac" in sentence else f"“{' '.join(sentence.split())}”"
-        )
+        formula = sentence.startswith("\\") or "\\frac" in sentence
+        quoted = f"${sentence}$" if formula else f"“{' '.join(sentence.split())}”"
         listed = "; ".join(f"`{choice}`: {meaning}" for choice, meaning in meanings.items())
         lines.append((f"`{option}`", quoted, listed))
     return markdown_table(lines)
 
 
-def read_yaml(path, *sections):
+def read_yaml(path: str | Path, *sections: str) -> Readings:
     """Readings from a YAML file: a mapping of options to choices, or a section of one.
 
     Parameters
     ----------
     path : str or Path
     *sections : str
-        Keys that lead to the mapping of options, for example ``"06_readings", "default"``. Options left out take their
-        default.
+        Keys that lead to it, for example ``"06_readings", "default"``. Options left out take their default.
 
     Raises
     ------
     ReadingError
         If the file cannot be read, is no mapping, or names an unknown option or choice; the message names the file.
     """
-    path = Path(path)
     try:
-        content = parse_yaml(path.read_text(encoding="utf-8"), path)
+        content = parse_yaml(Path(path).read_text(encoding="utf-8"), Path(path))
     except OSError as error:
         raise ReadingError(f"{path} cannot be read ({error.strerror}): check the path.") from None
     except ParameterError as error:
         raise ReadingError(str(error)) from None
     for section in sections:
-        if not isinstance(content, dict) or section not in content:
-            raise ReadingError(
-                f"{path} has no section {section!r}{did_you_mean(section, content if isinstance(content, dict) else [])}"
-            )
-        content = content[section]
-    if not isinstance(content or {}, dict):
+        known = content if isinstance(content, dict) else {}
+        if section not in known:
+            raise ReadingError(f"{path} has no section {section!r}{did_you_mean(section, known)}")
+        content = known[section]
+    content = content or {}
+    if not isinstance(content, dict):
         raise ReadingError(f"{path} holds a {type(content).__name__}: write one `option: choice` per line.")
     try:
-        return Readings(**{str(name): choice for name, choice in (content or {}).items()})
+        return Readings(**{str(name): choice for name, choice in content.items()})
     except ReadingError as error:
         raise ReadingError(f"{path}: {error}") from None
 

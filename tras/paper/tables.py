@@ -6,6 +6,7 @@
 import csv
 import itertools
 import math
+import operator
 import statistics
 
 from tras.workflow.files import markdown_table
@@ -48,11 +49,8 @@ def comparison(metrics, identification):
 
     from tras.paper.readings import PAPER_NRMSE
 
-    multisines = (
-        metrics[metrics["recording"].str.startswith("multisine")]
-        .set_index(["kind", "input", "model", "angle"])
-        .sort_index()
-    )
+    multisines = metrics[metrics["recording"].str.startswith("multisine")]
+    multisines = multisines.set_index(["kind", "input", "model", "angle"]).sort_index()
     condition = identification.set_index(["input", "model"])["condition"]
     sources = [source for source in COLUMNS if source[0] != "paper"]
     rows = []
@@ -60,55 +58,27 @@ def comparison(metrics, identification):
         for angle in ("yaw", "pitch"):
             for source in sources:
                 group = multisines.loc[[(kind, *source, angle)]]
-                v, horizon = group[name], group["horizon"].iloc[0]
-                rows.append(
-                    (
-                        kind,
-                        horizon,
-                        name,
-                        angle,
-                        *source,
-                        v.median(),
-                        v.min(),
-                        v.max(),
-                        group["windows"].sum(),
-                        group["diverged"].sum(),
-                    )
-                )
+                horizon, counts = group["horizon"].iloc[0], group[["windows", "diverged"]].sum()
+                rows.append((kind, horizon, name, angle, *source, *group[name].agg(["median", "min", "max"]), *counts))
             if kind == "window" and name == "nrmse":
-                value = PAPER_NRMSE[angle]
-                rows.append((kind, horizon, name, angle, "paper", "paper", value, value, value, 0, 0))
-    for source in sources:
-        value = condition[source]
-        rows.append(("fit", 0, "condition", "", *source, value, value, value, 0, 0))
-    columns = [
-        "kind",
-        "horizon",
-        "metric",
-        "angle",
-        "input",
-        "model",
-        "median",
-        "lowest",
-        "highest",
-        "windows",
-        "diverged",
-    ]
-    return pd.DataFrame(rows, columns=columns)
+                rows.append((kind, horizon, name, angle, "paper", "paper", *[PAPER_NRMSE[angle]] * 3, 0, 0))
+    rows += [("fit", 0, "condition", "", *source, *[condition[source]] * 3, 0, 0) for source in sources]
+    columns = "kind horizon metric angle input model median lowest highest windows diverged"
+    return pd.DataFrame(rows, columns=columns.split())
 
 
-def read(path):
+def read(path) -> list[dict[str, str]]:
     """Rows of a CSV file as dictionaries of text."""
     with open(path, newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
 
-def markdown(rows):
-    """The table paper against ours: a row per metric and angle, a column per source; ``median (lowest to highest)``."""
+def markdown(rows: list[dict]) -> str:
+    """The table paper against ours: one row per metric and angle, one column per source."""
     return markdown_table(_cells(rows))
 
 
-def text(rows):
+def text(rows: list[dict]) -> str:
     """The same for a terminal."""
     cells = _cells(rows)
     widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
@@ -117,34 +87,26 @@ def text(rows):
 
 def _cells(rows):
     """Rows of strings, the heading first."""
-    rows = [
-        row | {name: float(row[name] or "nan") for name in ("horizon", "median", "lowest", "highest")} for row in rows
-    ]
+    numbers = ("horizon", "median", "lowest", "highest")
+    rows = [row | {name: float(row[name] or "nan") for name in numbers} for row in rows]
     cells = [["", *COLUMNS.values()]]
     kinds = {"window": "s windows", "free run": "s free run"}
-    for (kind, metric, angle), group in itertools.groupby(
-        rows, key=lambda row: (row["kind"], row["metric"], row["angle"])
-    ):
-        by_source = {(row["input"], row["model"]): row for row in group}
-        horizon = next(iter(by_source.values()))["horizon"]
-        label = f"{_METRICS[metric]}, {angle}, {horizon:g} {kinds[kind]}" if kind in kinds else _METRICS[metric]
-        cells.append([label, *(_number(by_source.get(source)) for source in COLUMNS)])
-    for kind in kinds:
-        alike = [row for row in rows if row["kind"] == kind]
-        counts = {
-            (row["input"], row["model"]): f"{row['diverged']} of {row['windows']}"
-            for row in alike
-            if row["input"] != "paper"
-        }
-        cells.append(
-            [f"diverged, {alike[0]['horizon']:g} {kinds[kind]}", *(counts.get(source, _MISSING) for source in COLUMNS)]
-        )
+    for (kind, metric, angle), group in itertools.groupby(rows, operator.itemgetter("kind", "metric", "angle")):
+        group = list(group)
+        label = _METRICS[metric]
+        if kind in kinds:
+            label += f", {angle}, {group[0]['horizon']:g} {kinds[kind]}"
+        by_source = {(row["input"], row["model"]): _number(row) for row in group}
+        cells.append([label, *(by_source.get(source, _MISSING) for source in COLUMNS)])
+    for kind, words in kinds.items():
+        ours = [row for row in rows if row["kind"] == kind and row["input"] != "paper"]
+        counts = {(row["input"], row["model"]): f"{row['diverged']} of {row['windows']}" for row in ours}
+        label = f"diverged, {ours[0]['horizon']:g} {words}"
+        cells.append([label, *(counts.get(source, _MISSING) for source in COLUMNS)])
     return cells
 
 
 def _number(row):
-    if row is None:
-        return _MISSING
     if math.isnan(row["median"]):
         return "all diverged"
     if row["metric"] == "condition":
@@ -158,12 +120,8 @@ def _number(row):
 # --- methods beside ours ----------------------------------------------------------------------------------------------
 
 
-def methods(rows):
-    """Errors of each method over the multisines of ``comparison.csv``.
-
-    Parameters
-    ----------
-    rows : sequence of dict
+def methods(rows: list[dict]) -> tuple[dict, list[float]]:
+    """Errors of each method over the multisines of ``comparison.csv``, from its rows.
 
     Returns
     -------
@@ -190,30 +148,21 @@ def methods(rows):
     return entries, horizons
 
 
-def methods_markdown(rows):
+def methods_markdown(rows: list[dict]) -> str:
     """The table of methods, and a sentence on the grey box."""
     entries, horizons = methods(rows)
     bound = entries.pop(_BOUND, None)
-    window, free = (f"{h:g} s" for h in horizons[-2:])
-    lines = [
-        [
-            "method",
-            "parameters",
-            *(f"{name}, {window if kind == 'window' else free}: yaw / pitch" for name, kind in _METHOD_COLUMNS),
-        ]
-    ]
+    spans = dict(zip(("window", "free run"), (f"{horizon:g} s" for horizon in horizons[-2:])))
+    lines = [["method", "parameters", *(f"{name}, {spans[kind]}: yaw / pitch" for name, kind in _METHOD_COLUMNS)]]
     for method, entry in entries.items():
-        counts = dict.fromkeys(
-            str(int(float(count))) for count in entry["parameters"].values() if count not in ("", None)
-        )
+        counts = dict.fromkeys(str(int(float(count))) for count in entry["parameters"].values() if count)
         lines.append([method, "; ".join(counts), *(_yaw_pitch(entry, *column) for column in _METHOD_COLUMNS)])
+    text = markdown_table(lines)
     if bound is None:
-        return markdown_table(lines)
-    errors = f"{_yaw_pitch(bound, 'torque', 'window')} % over {window}"
-    sentence = (
-        f"The {_BOUND}, the plant's own equations with eight parameters from the same data, has {errors}: the bound."
-    )
-    return f"{markdown_table(lines)}\n\n{sentence}"
+        return text
+    errors = f"{_yaw_pitch(bound, 'torque', 'window')} % over {spans['window']}"
+    about = f"The {_BOUND}, the plant's own equations with eight parameters from the same data"
+    return f"{text}\n\n{about}, has {errors}: the bound."
 
 
 def _yaw_pitch(entry, *column):

@@ -11,6 +11,7 @@ grey pictures. Only numbers outside tolerance, and files that are missing or can
 import argparse
 import collections
 import fnmatch
+import operator
 import sys
 from pathlib import Path
 
@@ -30,7 +31,7 @@ TOLERANCES = [
         "*.npz",
         1e-6,
         1e-10,
-        "rounding times a fit's condition number: 7e-13 of a matrix's largest entry, 1e-3 of its smallest",
+        "rounding times a condition number: 7e-13 of a matrix's largest entry, 1e-3 of its smallest",
     ),
     ("*.csv", 1e-6, 1e-10, "errors of models, the smallest as differences of nearly equal numbers: 1e-7 of a value"),
 ]
@@ -46,12 +47,12 @@ Finding = collections.namedtuple("Finding", "artefact verdict detail share", def
 # --- comparison -------------------------------------------------------------------------------------------------------
 
 
-def tolerance(artefact):
+def tolerance(artefact: Path) -> tuple[float, float]:
     """(rtol, atol) for an artefact by `TOLERANCES`."""
     return next((rtol, atol) for pattern, rtol, atol, _ in TOLERANCES if fnmatch.fnmatch(str(artefact), pattern))
 
 
-def compare_columns(ours, theirs, rtol, atol):
+def compare_columns(ours: dict, theirs: dict, rtol: float, atol: float) -> tuple[float, str]:
     """The largest deviation as a share of what is allowed, and a sentence on it.
 
     Parameters
@@ -78,11 +79,11 @@ def compare_columns(ours, theirs, rtol, atol):
             return float("inf"), f"{name} has {len(ours[name])} rows, the reference {length}"
         values = ours[name] if rows is None else ours[name][rows]
         shares = _shares(values, reference, rtol, atol)
-        i = int(shares.argmax())
+        i, outside = int(shares.argmax()), int((shares > 1).sum())
         if shares[i] > worst:
             worst, row = float(shares[i]), i if rows is None else int(rows[i])
             detail = f"{name}, row {row + 1}: {_apart(values[i].item(), reference[i].item())}"
-            detail += f", and {int((shares > 1).sum()) - 1} more in this column" if (shares > 1).sum() > 1 else ""
+            detail += f", and {outside - 1} more in this column" if outside > 1 else ""
     return worst, detail
 
 
@@ -108,8 +109,8 @@ def _shares(values, reference, rtol, atol):
     return np.where(values == reference, 0.0, np.inf)
 
 
-def compare(artefact, expected, reference):
-    """One artefact against its checksum, and its copy in the folder ``reference`` or its committed self: a `Finding`."""
+def compare(artefact: Path, expected: str | None, reference: Path) -> Finding:
+    """One artefact against its checksum, and its copy in the folder ``reference`` or its committed self."""
     if not artefact.is_file():
         return Finding(artefact, "MISSING", "it is not there: make all")
     if expected is None:
@@ -123,12 +124,9 @@ def compare(artefact, expected, reference):
             return Finding(artefact, "other bytes", f"see {artefact.stem}.png and {artefact.stem}.csv")
         copy = copies.copy_of(artefact, reference)
         if copy is None:
+            compare_content = _compare_looks if artefact.suffix in copies.PICTURES else _compare_numbers
             with copies.committed(artefact, expected) as copy:
-                return (
-                    _compare_looks(artefact, copy)
-                    if artefact.suffix in copies.PICTURES
-                    else _compare_numbers(artefact, copy)
-                )
+                return compare_content(artefact, copy)
         if not copy.is_file():
             return Finding(artefact, "MISSING", f"the reference has lost {copy}: git checkout {copy}")
         return _compare_numbers(artefact, copy)
@@ -141,18 +139,10 @@ def compare(artefact, expected, reference):
 def _compare_numbers(artefact, copy):
     share, detail = compare_columns(copies.read_columns(artefact), copies.read_copy(copy), *tolerance(artefact))
     if share > 1:
-        return Finding(
-            artefact,
-            "DIFFERS",
-            detail + (f", {share:.2g} times what is allowed" if share < float("inf") else ""),
-            share,
-        )
-    return Finding(
-        artefact,
-        "numbers agree",
-        f"furthest off: {detail}, {share:.2g} of what is allowed" if detail else "all equal",
-        share,
-    )
+        detail += f", {share:.2g} times what is allowed" if share < float("inf") else ""
+        return Finding(artefact, "DIFFERS", detail, share)
+    detail = f"furthest off: {detail}, {share:.2g} of what is allowed" if detail else "all equal"
+    return Finding(artefact, "numbers agree", detail, share)
 
 
 def _compare_looks(artefact, copy):
@@ -167,14 +157,14 @@ def _compare_looks(artefact, copy):
 # --- the commands -----------------------------------------------------------------------------------------------------
 
 
-def read_manifest(reference):
-    """What the manifest says: (its remarks, {artefact: SHA-256})."""
+def read_manifest(reference: Path) -> tuple[list[str], dict[str, str]]:
+    """The manifest's remarks, and its SHA-256 per artefact."""
     lines = (reference / MANIFEST).read_text(encoding="utf-8").splitlines()
     sums = dict(reversed(line.split("  ", 1)) for line in lines if line and not line.startswith("#"))
     return [line.lstrip("# ") for line in lines if line.startswith("#")], sums
 
 
-def verify(artefacts, reference):
+def verify(artefacts: list[Path], reference: Path) -> int:
     """Compare, print a line for each artefact and a summary; the exit status."""
     try:
         remarks, sums = read_manifest(reference)
@@ -190,25 +180,18 @@ def verify(artefacts, reference):
     failed = sum(counts[verdict] for verdict in FAILURES)
     print(f"\n{len(findings)} artefacts: {', '.join(f'{count} {verdict}' for verdict, count in counts.items())}.")
     if counts["same bytes"] < len(findings):
-        furthest = max(
-            (finding for finding in findings if finding.share < float("inf")), key=lambda finding: finding.share
-        )
-        print(
-            f"Largest deviation: {furthest.share:.2g} of what is allowed, {furthest.artefact}."
-            if furthest.share
-            else "No number deviates."
-        )
+        finite = [finding for finding in findings if finding.share < float("inf")]
+        furthest = max(finite, key=operator.attrgetter("share"))
+        largest = f"Largest deviation: {furthest.share:.2g} of what is allowed, {furthest.artefact}."
+        print(largest if furthest.share else "No number deviates.")
         print("The reference comes from", *remarks)
-    print(
-        f"Not verified: {failed} outside tolerance, missing or unreadable; docs/verify.md says what to do."
-        if failed
-        else "Verified."
-    )
+    advice = "docs/verify.md says what to do"
+    print(f"Not verified: {failed} outside tolerance, missing or unreadable; {advice}." if failed else "Verified.")
     return 1 if failed else 0
 
 
-def bless(artefacts, reference):
-    """Write the reference anew: copies, then the manifest; remove what no artefact needs any more. The exit status."""
+def bless(artefacts: list[Path], reference: Path) -> int:
+    """Write copies and manifest anew, and remove what no artefact needs any more; the exit status."""
     missing = [str(artefact) for artefact in artefacts if not artefact.is_file()]
     if missing:
         print(f"{', '.join(missing)} missing: make all first; {reference} is as it was.", file=sys.stderr)
@@ -218,35 +201,32 @@ def bless(artefacts, reference):
     except (OSError, ValueError):
         old = {}
     sums = {str(artefact): provenance.checksum(artefact) for artefact in artefacts}
-    wanted = {artefact: copy for artefact in artefacts if (copy := copies.copy_of(artefact, reference))}
+    texts = {artefact: copy for artefact in artefacts if (copy := copies.copy_of(artefact, reference))}
+    manifest = reference / MANIFEST
     try:
-        for artefact, copy in wanted.items():
+        for artefact, copy in texts.items():
             copies.write_copy(artefact, copy)
-        with replacing(reference / MANIFEST) as temporary:
+        with replacing(manifest) as temporary:
             lines = [f"# {provenance.summary()}", *(f"{value}  {name}" for name, value in sums.items())]
             temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
     except (OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 1
-    for path in {path for path in reference.rglob("*") if path.is_file()} - {
-        *wanted.values(),
-        reference / MANIFEST,
-        reference / "README.md",
-    }:
-        path.unlink()
-    size = sum(path.stat().st_size for path in reference.rglob("*") if path.is_file())
+    size, needed = 0, {*texts.values(), manifest, reference / "README.md"}
+    for path in filter(Path.is_file, list(reference.rglob("*"))):
+        if path in needed:
+            size += path.stat().st_size
+        else:
+            path.unlink()
     changed = [name for name in sorted({*sums, *old}) if sums.get(name) != old.get(name)]
-    print(
-        f"{reference}: {len(sums)} artefacts, {size / 1e6:.2f} MB; {len(changed)} new or changed: {', '.join(changed) or 'none'}."
-    )
+    news = f"{len(changed)} new or changed: {', '.join(changed) or 'none'}"
+    print(f"{reference}: {len(sums)} artefacts, {size / 1e6:.2f} MB; {news}.")
     return 0
 
 
-def main(arguments=None):
+def main(arguments: list[str] | None = None) -> int:
     """Command line; the exit status: 0, 1 (not verified), 2 (there is nothing to compare with)."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tras.paper.verification", description="Compare artefacts with reference/, or write it."
-    )
+    parser = argparse.ArgumentParser("python -m tras.paper.verification", description=__doc__.partition("\n")[0])
     parser.add_argument("artefacts", nargs="+", type=Path, help="files as make builds them")
     parser.add_argument("--reference", type=Path, default=Path("reference"), help="folder (default: %(default)s)")
     parser.add_argument("--bless", action="store_true", help="write the reference from these files")
