@@ -1,6 +1,6 @@
-"""Regularised coefficients from one factorisation, no second look at the data.
+"""Regularized coefficients from one factorisation, no second look at the data.
 
-What is regularised is the CHANGE over a sample, ``psi(y) - psi(x) = D^T psi(x)`` with K = I + D. A truncated K has zero
+What is regularized is the CHANGE over a sample, ``psi(y) - psi(x) = D^T psi(x)`` with K = I + D. A truncated K has zero
 eigenvalues and so no logarithm; a truncated D only says "no change here".
 """
 
