@@ -2,8 +2,8 @@
 
     .venv/bin/python benchmarks/faults.py [--params params/smoke.yaml] [--kills 20] [--seed 1] [--only kill damage disk]
 
-Works in a temporary clone of this checkout with an environment of its own, and prints a table; the exit status is 1 if something
-was wrong. The small parameters take about ten minutes. The part `disk` needs root, for a small file system in memory.
+Works in a temporary clone of this checkout with its own environment and prints a table; the exit status is 1 if
+something was wrong. Smoke parameters take ten minutes. The part `disk` needs root, for a small file system in memory.
 """
 
 import argparse
@@ -31,7 +31,7 @@ class Wrong(Exception):
     """What should not have happened."""
 
 
-# --- the clone -------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def clone(folder, params):
@@ -71,7 +71,8 @@ def make():
 def artefacts():
     """Every file under a final name -> its checksum; what begins with a dot is temporary and counts elsewhere.
 
-    The cache of 06_readings is no artefact: it may be deleted, and what is damaged in it is said and computed again (tests/paper/test_grid.py).
+    The cache of 06_readings is no artefact: it may be deleted, and what is damaged in it is reported and computed again
+    (tests/paper/test_grid.py).
     """
     files = [path for folder in ("data", "figures") for path in (BUILD / folder).rglob("*") if path.is_file()]
     files = [path for path in files if not path.name.startswith(".") and not {"provenance", "cache"} & set(path.parts)]
@@ -96,7 +97,7 @@ def processes():
 
 
 def check_complete(expected):
-    """All artefacts with the expected bytes, every stage with its stamp and with a record that fits, nothing temporary."""
+    """All artefacts have the expected bytes, every stage its stamp and a record that fits; no temporary files."""
     found = artefacts()
     wrong = sorted(name for name in {*found, *expected} if found.get(name) != expected.get(name))
     if wrong:
@@ -141,11 +142,11 @@ def finish(expected):
     return printed, seconds
 
 
-# --- the faults ------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def kill(number, rng, states, expected, other, seconds):
-    """Kill make and its group at a random moment, starting from nothing, from another run's results or from a part of this one."""
+    """Kill make and its group at a random moment: from nothing, from another run's results, from a part of this one."""
     wait_for_orphans()
     kind = rng.choice(["nothing", "results of other parameters", "a part of the results"])
     shutil.rmtree(BUILD, ignore_errors=True)
@@ -163,7 +164,8 @@ def kill(number, rng, states, expected, other, seconds):
             time.sleep(0.0005)  # every second time wait for a file that is being written
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
-        where = f"stages done: {sum((BUILD / f'{stage}.ipynb').exists() for stage in STAGES)}, half-written temporary files: {len(leftovers())}"
+        done = sum((BUILD / f"{stage}.ipynb").exists() for stage in STAGES)
+        where = f"stages done: {done}, half-written temporary files: {len(leftovers())}"
     check_whole(expected, other)
     finish(expected)
     return f"{number:2}  from {kind}, after {moment:.1f} s, {where}"
@@ -225,7 +227,7 @@ def full_disk(size, expected):
         subprocess.run(["umount", str(BUILD)], check=True)
 
 
-# --- all of them -----------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def baselines(params):
@@ -248,7 +250,7 @@ def baselines(params):
         shutil.copytree(BUILD, states[name])
     differing = sum(sums["own"][name] != sums["other"][name] for name in sums["own"])
     print(
-        f"Undisturbed: {seconds:.1f} s, {len(sums['own'])} artefacts, {differing} of them other ones with the other parameters.\n",
+        f"Undisturbed: {seconds:.1f} s, {len(sums['own'])} artefacts, {differing} change with the parameters.\n",
         flush=True,
     )
     return states, sums["own"], sums["other"], seconds

@@ -1,9 +1,9 @@
-"""Fits a second in the grid of readings (`tras.paper.grid`): identification with log K and equation (18), from the paper's 40 000 snapshot pairs.
+"""Fits per second in the grid of readings (`tras.paper.grid`): log K and equation (18) from 40 000 snapshot pairs.
 
     .venv/bin/python benchmarks/fits.py [--rounds 5]
 
-CPU times of one core, the best of several rounds; "two cores" is twice as many. Run it with OPENBLAS_NUM_THREADS=1, as make does: with more
-threads waiting ones count as CPU time.
+CPU times of one core, the best of several rounds; "two cores" is twice as many. OPENBLAS_NUM_THREADS=1, as make has it:
+with more threads the waiting ones count as CPU time.
 """
 
 import argparse
@@ -62,9 +62,8 @@ if __name__ == "__main__":
     points = grid.points(study)
     simulations = 4 * (len(study.train_seeds) + len(study.validation_seeds)) * simulation
     print(
-        f"the grid's mix, two cores: {2 * fits / bare:.0f} fits/s without lifting, {2 * fits / total:.0f} with lifting, ",
+        f"the grid's mix, two cores: {2 * fits / bare:.0f} fits/s alone, {2 * fits / total:.0f} with lifting, ",
         end="",
     )
-    print(
-        f"{2 * len(points) / (len(points) * total / fits + simulations):.0f} with lifting and simulations ({simulation:.2f} s each)"
-    )
+    seconds = len(points) * total / fits + simulations
+    print(f"{2 * len(points) / seconds:.0f} with lifting and simulations ({simulation:.2f} s each)")

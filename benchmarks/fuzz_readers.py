@@ -2,12 +2,12 @@
 
     .venv/bin/python benchmarks/fuzz_readers.py [--inputs 100000] [--seed 1] [--only csv nc] [--csv counts.csv]
 
-Each input is a valid file of one format, our own or as other tools write it, damaged in one to eight places. It is read in a child
-process, many one after the other; one that takes longer than ten seconds is a hang, a child that dies is a crash, anything but a
-`RecordingError` is a traceback. A recording read without complaint with other numbers, names, units or sampling time is counted as
-"other content": "silent", an error, where the file has a checksum (.nc, .parquet and .mat that we wrote), and what cannot be noticed
-where it has none (a digit of a CSV, a number in a .mat or .parquet of another tool). "unforeseen" counts the damage that only
-the last net caught: errors raised by a library or by us that are no sentence about the file. Exit status 1 if something was wrong.
+Each input is a valid file of one format, our own or as other tools write it, damaged in one to eight places. A child
+process reads one after the other: ten seconds are a hang, a dead child is a crash, anything but a `RecordingError` is a
+traceback. A recording read without complaint with other numbers, names, units or sampling time is "other content":
+"silent", an error, where the file has a checksum (.nc, .parquet and .mat that we wrote), else what cannot be noticed (a
+digit of a CSV, a number in another tool's .mat or .parquet). "unforeseen" counts damage that only the last net caught:
+errors of a library or of ours that are no sentence about the file. Exit status 1 if something was wrong.
 """
 
 import argparse
@@ -86,7 +86,7 @@ def _matlab73(path, cells):
 
 
 def damaged(content, others, rng):
-    """The content with one to eight wounds: bits and bytes changed, cut off, left out, doubled, taken from another file."""
+    """The content with one to eight wounds: bits and bytes changed, cut off, left out, doubled, from another file."""
     content = bytearray(content)
     for _ in range(rng.choice((1, 1, 1, 2, 3, 8))):
         if not content:
@@ -217,7 +217,8 @@ def main():
     print(table.to_string(index=False))
     memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
     print(
-        f"{sum(table['inputs'])} inputs in {time.monotonic() - began:.0f} s, seed {options.seed}; at most {memory:.0f} MiB of memory"
+        f"{sum(table['inputs'])} inputs in {time.monotonic() - began:.0f} s, seed {options.seed}; "
+        f"at most {memory:.0f} MiB of memory"
     )
     for words, times in kinds.most_common(40):
         print(f"{times:6d}  {words}")

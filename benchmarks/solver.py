@@ -105,7 +105,7 @@ PROBLEMS = [  # of rising size; inputs, dictionary
 
 
 def accuracy():
-    """Largest error of a coefficient over the largest coefficient of its column, of some columns, against double-double arithmetic."""
+    """Largest error of a coefficient over the largest one of its column, some columns, against double-double."""
     from test_least_squares import columnwise, extended
 
     table = []

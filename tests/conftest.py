@@ -38,7 +38,7 @@ def cluster():
 
 @pytest.fixture(scope="module")
 def browser():
-    """Debian's chromium, driven by Playwright; none, no test. (Not for the session: Playwright holds the event loop while it lives.)"""
+    """Debian's chromium, driven by Playwright, or a skip. (Not per session: Playwright holds the event loop.)"""
     playwright = pytest.importorskip(
         "playwright.sync_api", reason="needs Playwright, which environment.txt has: make setup"
     )

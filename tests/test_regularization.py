@@ -124,7 +124,7 @@ def test_sparse_finds_a_planted_sparse_matrix_exactly():
 
 
 def test_sparse_model_is_the_system_that_made_the_data():
-    """x+ = 0.9 x + 0.1 y^2, y+ = 0.7 y + u, from 10 monomials: the states' columns of K - I hold 4 numbers that are not zero."""
+    """x+ = 0.9 x + 0.1 y^2, y+ = 0.7 y + u, from 10 monomials: K - I has 4 numbers in the states' columns."""
     rng = np.random.default_rng(0)
     u, x = rng.uniform(-1, 1, (20, 31, 1)), np.zeros((20, 31, 2))
     x[:, 0] = rng.uniform(-1, 1, (20, 2))

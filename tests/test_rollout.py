@@ -123,7 +123,7 @@ def test_inside_the_data_both_extrapolations_are_the_same_bits(dictionary, predi
     # Well inside, so that the points between the samples are too.
     room = 0.2 * (hull.high - hull.low)[:, 0] / 2
     inside = np.all((t > hull.low[:, 0] - room) & (t < hull.high[:, 0] + room), axis=(1, 2))
-    # An abandoned neighbour changes no one else, but products of matrices of another width may round otherwise: compare one by one.
+    # An abandoned neighbour changes nobody else; but wider products may round otherwise, so compare one by one.
     assert inside.sum() >= 80
     for i in np.flatnonzero(inside)[:5]:
         one = [m.simulate(windows.states[i, 0], windows.inputs[i]) for m in (linear, functions)]

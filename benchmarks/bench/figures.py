@@ -27,7 +27,7 @@ VARIANTS = {
 
 @styled()
 def peers_figure(table):
-    """Fit time and memory against the number of functions, a column a number of pairs, and below the error of the coefficients and the roll-outs.
+    """Time and memory of a fit against the number of functions, one column per number of pairs; below, the errors.
 
     Parameters
     ----------

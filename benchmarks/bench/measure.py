@@ -1,4 +1,4 @@
-"""Measuring: a method and a reference in turn, each in a child of its own, so that every ratio is one of the same minutes of the same machine."""
+"""Measuring: a method and a reference in turn, each in its own child, so that ratios are of the same minutes."""
 
 import functools
 import hashlib
@@ -76,7 +76,7 @@ class Bench:
         return Child(command, self.folder / "logs" / f"{method.name}.log", limits.memory, limits.seconds, THREADS)
 
     def reference(self, method, problem):
-        """A child of the method for this problem, kept until another problem comes. Its fit is made once, so that it can roll out."""
+        """A child of the method for this problem, until another problem comes. It is fitted once, for roll-outs."""
         if self._references.get(method.name, (None,))[0] != problem:
             child = self._stack.enter_context(
                 self.child(method, problem, self.limits._replace(seconds=10 * self.limits.seconds))
@@ -102,7 +102,7 @@ class Bench:
 
 
 def measured(bench, method, problem, with_exact=False, rolled=False, compared=True, fits=None):
-    """Rows of a fit and, if ``rolled`` and if the method has one, of a roll-out with what was fitted: ``{"fit": row, "roll-out": row}``.
+    """Rows of a fit and, if ``rolled`` and if the method has one, of a roll-out: ``{"fit": row, "roll-out": row}``.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def hopeless(rows, method, pairs, functions):
 
 
 def compare(bench, methods, cells, rolled, say, exact_up_to=50_000 * 1006):
-    """Rows of all fits and roll-outs: for each cell (pairs, functions) each method, roll-outs where ``rolled`` holds the functions.
+    """Rows per cell (pairs, functions) and method: its fit, and its roll-out where ``rolled`` holds the functions.
 
     Parameters
     ----------
@@ -246,7 +246,8 @@ def compare(bench, methods, cells, rolled, say, exact_up_to=50_000 * 1006):
             if not reason:
                 options = {"with_exact": pairs * functions <= exact_up_to, "rolled": rolls}
                 lock = ROOT / f"benchmarks/peers/{method.environment}.txt" if method.environment else None
-                key = f"{method.name.replace(', ', '-').replace(' ', '-')}-{pairs}-{functions}-{fingerprint(lock)}-{digest(bench.limits, options)}"
+                slug = method.name.replace(", ", "-").replace(" ", "-")
+                key = f"{slug}-{pairs}-{functions}-{fingerprint(lock)}-{digest(bench.limits, options)}"
                 found = bench.cached(
                     key,
                     lambda method=method, options=options, problem=problem: measured(

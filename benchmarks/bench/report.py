@@ -1,4 +1,4 @@
-"""Tables and figures of what was measured: ``benchmarks/results/``, and the tables of ``benchmarks/README.md`` between their markers."""
+"""Tables and figures of the measurements: ``benchmarks/results/``, and the tables in ``benchmarks/README.md``."""
 
 import platform
 from pathlib import Path
@@ -50,7 +50,7 @@ def exponent(x, y, level=0.95):
 
 
 def exponents(grown):
-    """Table of fitted exponents beside the theory: one row a quantity, what it grows with, and variant; none of what has fewer than two points."""
+    """Table of fitted exponents beside the theory; one row per quantity, abscissa and variant that has two points."""
     rows = []
     good = grown[grown["outcome"].fillna("") == ""]
     for (against, variant), part in good.groupby(["against", "variant"], sort=False):
@@ -121,10 +121,12 @@ def comparison(table):
             + _over_the_floor(part)
         )
     for pairs, part in fits.groupby("pairs"):
-        head = f"**Memory of a fit, {_thousands(pairs)} pairs**: MiB at the peak, beyond what interpreter, libraries and the data take."
+        extent = "MiB at the peak, beyond what interpreter, libraries and the data take"
+        head = f"**Memory of a fit, {_thousands(pairs)} pairs**: {extent}."
         parts.append(f"{head}\n\n{_grid(part, _memory)}")
     for pairs, part in fits[fits["error"].notna()].groupby("pairs") if "error" in fits else []:
-        head = f"**Error of the coefficients, {_thousands(pairs)} pairs**: largest, over the largest of its column, against extended precision."
+        scale = "largest, over the largest of its column, against extended precision"
+        head = f"**Error of the coefficients, {_thousands(pairs)} pairs**: {scale}."
         parts.append(f"{head}\n\n{_grid(part, _error)}")
     if len(rolls):
         parts.append(

@@ -1,7 +1,7 @@
 """What is measured, as a folder of plain arrays that any environment with NumPy can read: data, functions, roll-outs.
 
 ``problem.json``
-    ``kind`` ("monomials" or "gaussians"), ``degree``, ``width``, ``functions`` (N), ``states`` and ``inputs`` (paths of the data).
+    ``kind`` ("monomials" or "gaussians"), ``degree``, ``width``, ``functions`` (N); paths: ``states``, ``inputs``.
 ``states.npy`` (trajectories, samples, n), ``inputs.npy`` (trajectories, samples, m)
     In channels scaled to [-1, 1].
 ``exponents.npy`` (N, n + m) or ``centres.npy`` (centres, n + m)
@@ -61,7 +61,7 @@ def lift(problem, z):
 
 
 def match(columns, values):
-    """Where each function stands in a package's order: ``columns`` (points, features) hold ``values[:, j]`` in column ``match[j]``.
+    """Each function's place in a package's order: ``columns`` (points, features) has ``values[:, j]`` at ``match[j]``.
 
     Raises
     ------

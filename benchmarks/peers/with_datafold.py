@@ -1,6 +1,6 @@
-"""datafold: `EDMD` with its own dictionaries on snapshot pairs (`TSCDataFrame.from_shift_matrices`). The state is (x, u), the input held.
+"""datafold: `EDMD`, its own dictionaries, `TSCDataFrame.from_shift_matrices`. The state is (x, u), the input held.
 
-Its prediction with inputs is another model, `DMDControl`: functions of x, linear in u; that one is fitted for the roll-out.
+For roll-outs another model is fitted, `DMDControl`: functions of x, linear in u.
 """
 
 from importlib.metadata import version

@@ -1,6 +1,6 @@
-"""kooplearn: `Ridge` without ridge on scikit-learn features, as its documentation does EDMD. The state is (x, u), the input held.
+"""kooplearn: `Ridge` without ridge on scikit-learn features, as documented for EDMD. The state is (x, u), u held.
 
-It takes one trajectory and pairs samples ``lag_time`` apart; all x stacked on all y, with as many pairs as lag, are the snapshot pairs.
+It pairs samples ``lag_time`` apart of one trajectory: all x stacked on all y, with a lag of the number of pairs.
 """
 
 import warnings

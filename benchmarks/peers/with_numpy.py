@@ -1,4 +1,4 @@
-"""What a few lines of NumPy and SciPy do. Variants: ``gram``, chunks, Gram matrix, scaled Cholesky, and a batched loop; ``floor``, 3 M N^2 operations."""
+"""A few lines of NumPy and SciPy: ``gram``, Gram matrix by chunks and scaled Cholesky; ``floor``, its 3 M N^2 alone."""
 
 import warnings
 

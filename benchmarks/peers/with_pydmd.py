@@ -1,4 +1,4 @@
-"""PyDMD: `DMD` of lifted rows. Its own EDMD is a kernel method, with a matrix of pairs by pairs, and cannot take given functions."""
+"""PyDMD: `DMD` of lifted rows. Its EDMD is a kernel method (a matrix of pairs by pairs) without functions to choose."""
 
 from importlib.metadata import version
 

@@ -1,4 +1,4 @@
-"""The harness of ``make bench``: limits, ratios, exponents, tables, and what a child measures; without any other package."""
+"""The harness of ``make bench``: limits, ratios, exponents, tables, what a child measures; no other package."""
 
 import json
 import sys
@@ -15,7 +15,7 @@ from benchmarks.bench import children, data, environments, exact, figures, measu
 from benchmarks.bench.children import Child, Failed
 from benchmarks.bench.data import problems
 
-# ------------------------------------------------------------------------------------------------------------------- children
+# ----------------------------------------------------------------------------------------- children
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def test_a_child_that_failed_says_so_and_goes_on(child):
     assert moody.ask({"do": "other"}) == {}
 
 
-# ------------------------------------------------------------------------------------------------------------------- problems
+# ----------------------------------------------------------------------------------------- problems
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +156,7 @@ def test_a_fit_beyond_the_memory_is_a_result(folder, tmp_path):
     assert rows == {"fit": {"outcome": "out of memory", "runs": 0}}
 
 
-# ------------------------------------------------------------------------------------------------------- times and their growth
+# --------------------------------------------------------------------------- times and their growth
 
 
 @pytest.mark.parametrize("first, runs", [(0.1, 5), (12.0, 5), (12.1, 4), (29.0, 2), (31.0, 1), (500.0, 1)])
@@ -224,7 +224,7 @@ def test_exponent_refuses(x, y, words):
         report.exponent(x, y)
 
 
-# ---------------------------------------------------------------------------------------------------------- tables and figures
+# ------------------------------------------------------------------------------- tables and figures
 
 
 COMMON = {"outcome": "", "measured": "2026-01-02T03:04:05+00:00", "version": "1.0", "timed": "lift + fit", "runs": 5}
@@ -358,7 +358,7 @@ def test_figures_show_every_method_and_slope(compared, grown, tmp_path):
     )
 
 
-# ---------------------------------------------------------------------------------------------------- environments, command line
+# ----------------------------------------------------------------------- environments, command line
 
 
 def test_every_peer_is_locked_with_hashes_and_no_address():

@@ -91,7 +91,7 @@ def test_gaussians_are_gaussians_at_their_centres():
 
 
 def test_mechanical_spans_the_twin_rotors_own_terms():
-    """Every term of the equations of motion, 1 / J_psi(phi) and all, lies in the span: to 1e-3 at degree 8, 1e-6 at 16."""
+    """Every term of the equations of motion, even 1 / J_psi(phi), is in the span: to 1e-3 at degree 8, 1e-6 at 16."""
     plant = tras.PlantParameters()
     x, u = RNG.uniform(-1.2, 1.2, (3000, 4)), RNG.uniform(-0.1, 0.1, (3000, 2))
     field = tras.vector_field(x, u, plant)
