@@ -301,7 +301,7 @@ def slow_manifold(x, u):
 def test_vector_fields_of_known_systems_are_recovered(field, n, size, degree, limit):
     """Relative error of each state's rate (RMS) at fresh points, 60 trajectories of 11 samples at 0.01 s, all defaults.
 
-    Measured: Van der Pol 1e-9, 4e-5 with degree 3 and 8e-11, 5e-9 with degree 5; Lorenz 7e-6, 8e-4, 5e-3 with degree 2 and
+    Measured: Van der Pol 1e-9, 4e-5 with degree 3, 8e-11, 5e-9 with degree 5; Lorenz 7e-6, 8e-4, 5e-3 with degree 2,
     6e-7, 8e-6, 4e-5 with degree 3; slow manifold, whose eigenfunctions degree 2 holds, 4e-14. The lifting method of
     A. Mauroy and J. Goncalves (IEEE Trans. Autom. Control 65, 2020, 2550) is quoted with errors of about a percent.
     """
