@@ -10,6 +10,14 @@ import pytest
 import tras
 
 ROOT = Path(__file__).parent.parent
+SLOW = {"cluster", "checkout", "browser"}  # fixtures that take seconds
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if SLOW.intersection(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture(scope="session")

@@ -47,6 +47,7 @@ def test_dealing_gives_every_pair_once_and_blocks_of_one_size(lengths, block, lo
         assert min(len(part[0]) for part in blocks) >= block - lot + 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inputs", ["none", "held", "moving", "states alone"])
 @pytest.mark.parametrize(
     "dictionary",

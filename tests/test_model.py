@@ -173,6 +173,7 @@ def test_score_is_minus_nrmse_and_a_grid_search_runs(torque_data):
     assert np.isfinite(search.best_score_) and search.best_estimator_.koopman_matrix.ndim == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("predictor", PREDICTORS)
 @pytest.mark.parametrize(
     "dictionary",
@@ -231,6 +232,7 @@ def test_a_refit_forgets_the_fit_before(torque_data):
     assert not hasattr(model, "generator") and "Runge" not in model.report()
 
 
+@pytest.mark.slow
 def test_models_of_a_grid_search_and_of_drawn_centres_are_saved(torque_data, tmp_path):
     grid = {"dictionary__degree": np.arange(1, 3)}
     best = GridSearchCV(tras.KoopmanModel(tras.Monomials(1)), grid, cv=2).fit(torque_data).best_estimator_

@@ -92,6 +92,7 @@ def parameter_errors(model, recording):
     return np.abs([found[name] / true[name] - 1 for name in found.index])
 
 
+@pytest.mark.slow
 def test_parameters_come_back_from_clean_data(whole, train):
     model = tras.KoopmanModel(tras.Mechanical(6)).fit(train.select(inputs=TORQUES))
     errors = parameter_errors(model, whole)
@@ -288,6 +289,7 @@ def slow_manifold(x, u):
     return [-0.05 * x[0], -(x[1] - x[0] ** 2)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "field, n, size, degree, limit",
     [

@@ -97,6 +97,7 @@ def test_an_impossible_choice_is_answered_in_one_sentence(what):
 # --- what comes of them --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_papers_choice_has_the_published_numbers():
     """Those of 03_validation, which the notebooks compute on their own way, for the first validation recording."""
     published = pd.read_csv(PUBLISHED)
@@ -114,6 +115,7 @@ def test_the_papers_choice_has_the_published_numbers():
             assert (a["windows"], a["diverged"]) == (b["windows"], b["diverged"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "dictionary, predictor, state",
     [*itertools.product(choice.SIZES, choice.OPTIONS["predictor"], choice.OPTIONS["state"])],

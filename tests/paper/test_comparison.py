@@ -53,6 +53,7 @@ def test_every_case_is_there(results, study):
     assert len(results["data"]) == len(cases) * 2 and len(results["times"]) == len(cases)
 
 
+@pytest.mark.slow
 def test_the_chosen_setting_is_the_best_one(results):
     for _, group in results["tuning"].groupby(["method", "input", "noise", "smoothed", "fraction"]):
         assert group.loc[group["chosen"], "error"].iloc[0] == group["error"].min()
@@ -65,6 +66,7 @@ def test_the_bound_is_a_bound(results):
     assert scores.idxmin() == "grey box" and scores["grey box"] < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["DMDc", "NARX", "Koopman, the paper's"])
 def test_validation_is_not_seen(method, study, recordings):
     train, fresh = recordings
@@ -79,6 +81,7 @@ def test_validation_is_not_seen(method, study, recordings):
     assert one["tuning"] == two["tuning"] and one["parameters"] == two["parameters"] and one["scores"] != two["scores"]
 
 
+@pytest.mark.slow
 def test_noise_and_fraction_reach_the_training_data(study, recordings):
     job = {"method": "DMDc", "input": "torque", "noise": 0.0, "smoothed": False, "fraction": 1.0}
     whole, few = (comparison.training(study, job | {"fraction": share}, recordings[0]) for share in (1.0, 0.2))
