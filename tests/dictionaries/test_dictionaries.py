@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from sklearn.base import clone
 
 import tras
+from tras.dictionaries.kinds import KINDS
 
 RNG = np.random.default_rng(0)
 DICTIONARIES = [
@@ -31,6 +32,10 @@ MECHANICAL = [
 ]
 SIZES = [(1, 0), (1, 1), (2, 0), (4, 2)]
 CASES = [(d, n, m) for d in DICTIONARIES for n, m in SIZES] + [(d, 4, m) for d in MECHANICAL for m in (0, 2)]
+
+
+def test_every_kind_is_tried():
+    assert {type(dictionary) for dictionary in [*DICTIONARIES, *MECHANICAL]} == set(KINDS.values())
 
 
 @given(st.integers(1, 4), st.integers(0, 3), st.integers(1, 5))
