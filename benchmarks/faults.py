@@ -86,20 +86,20 @@ def leftovers():
 
 def processes():
     """Processes that work in this folder."""
-    found = []
+    numbers = []
     for path in Path("/proc").glob("[0-9]*"):
         try:
             if int(path.name) != os.getpid() and Path(os.readlink(path / "cwd")).is_relative_to(Path.cwd()):
-                found.append(int(path.name))
+                numbers.append(int(path.name))
         except OSError:
             pass
-    return found
+    return numbers
 
 
 def check_complete(expected):
     """All artefacts have the expected bytes, every stage its stamp and a record that fits; no temporary files."""
-    found = artefacts()
-    wrong = sorted(name for name in {*found, *expected} if found.get(name) != expected.get(name))
+    checksums = artefacts()
+    wrong = sorted(name for name in {*checksums, *expected} if checksums.get(name) != expected.get(name))
     if wrong:
         raise Wrong(f"other bytes in {', '.join(wrong)}")
     for stage in STAGES:
@@ -108,7 +108,10 @@ def check_complete(expected):
         for name, written in record["outputs"].items():
             path = Path(name)
             beside = json.loads((path.parent / "provenance" / f"{path.name}.json").read_text())
-            if not found[name] == written["sha256"] == beside["sha256"] or beside["parameters"] != record["parameters"]:
+            if (
+                not checksums[name] == written["sha256"] == beside["sha256"]
+                or beside["parameters"] != record["parameters"]
+            ):
                 raise Wrong(f"the provenance of {name} is not its own")
     if leftovers():
         raise Wrong(f"left over: {', '.join(leftovers())}")
@@ -116,14 +119,16 @@ def check_complete(expected):
 
 def check_whole(*allowed):
     """Whatever lies under a final name has the bytes of one complete run or the other: nothing is half written."""
-    found = artefacts()
+    checksums = artefacts()
     odd = sorted(
-        name for name, checksum in found.items() if checksum not in [expected.get(name) for expected in allowed]
+        name for name, checksum in checksums.items() if checksum not in [expected.get(name) for expected in allowed]
     )
     if odd:
-        kept = Path(tempfile.mkdtemp(prefix="tras-odd-"))
-        shutil.copytree(BUILD, kept / "build")
-        raise Wrong(f"of {len(found)} files these are of neither run: {', '.join(odd)}; all of them are kept in {kept}")
+        copy = Path(tempfile.mkdtemp(prefix="tras-odd-"))
+        shutil.copytree(BUILD, copy / "build")
+        raise Wrong(
+            f"of {len(checksums)} files these are of neither run: {', '.join(odd)}; all of them are kept in {copy}"
+        )
     for stage in STAGES:
         if (BUILD / f"{stage}.ipynb").exists():
             json.loads((BUILD / f"{stage}.ipynb").read_text())
@@ -184,15 +189,15 @@ def damage(name, how, rng, expected):
     """Damage one file: the next make must name it and make it again."""
     path = Path(name)
     status, content = path.stat(), bytearray(path.read_bytes())
-    place = rng.randrange(len(content))
+    position = rng.randrange(len(content))
     if how == "deleted":
         path.unlink()
     elif how == "truncated":
-        os.truncate(path, place)
+        os.truncate(path, position)
     elif how == "emptied":
         os.truncate(path, 0)
     else:
-        content[place] ^= 1 << rng.randrange(8)
+        content[position] ^= 1 << rng.randrange(8)
         path.write_bytes(content)
     if "times" in how:
         os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
@@ -211,17 +216,17 @@ def full_disk(size, expected):
         status, printed, _ = make()
         if not status:
             raise Wrong(f"{size} bytes were enough")
-        said = [
+        messages = [
             line
             for line in printed.splitlines()
             if re.search(r"(written \(|\[Errno 28\] )No space left on device.*(nothing was left|make room)", line)
         ]
-        if not said or "Traceback" in printed:
+        if not messages or "Traceback" in printed:
             raise Wrong(f"no clear sentence, but: {printed[-1500:]}")
         check_whole(expected)
         subprocess.run(["mount", "-o", "remount,size=1g", str(BUILD)], check=True)
         finish(expected)
-        return f"{size / 1e6:.2f} MB: exit status {status}, {len(said)} line(s): {said[0][:150]}"
+        return f"{size / 1e6:.2f} MB: exit status {status}, {len(messages)} line(s): {messages[0][:150]}"
     finally:
         wait_for_orphans()
         subprocess.run(["umount", str(BUILD)], check=True)

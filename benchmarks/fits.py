@@ -46,7 +46,7 @@ for method in ("__call__", "lift_with_slopes"):
     setattr(Dictionary, method, timed(getattr(Dictionary, method)))
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="Fits a second in the grid of readings.")
+    parser = argparse.ArgumentParser(description="Fits per second in the grid of readings.")
     parser.add_argument("--rounds", type=int, default=5)
     rounds = parser.parse_args().rounds
     study = grid.Study()
@@ -58,7 +58,7 @@ if __name__ == "__main__":
         N, whole, lifted = best_times(study, recording, name, rounds)
         share = len(study.centre_draws) if name in grid.DRAWN else 1  # how often the grid has it
         total, bare, fits = total + share * whole, bare + share * (whole - lifted), fits + share
-        print(f"{name:12s} N = {N:2d}: {1e3 * whole:5.0f} ms a fit, {1e3 * lifted:4.0f} ms of it lifting")
+        print(f"{name:12s} N = {N:2d}: {1e3 * whole:5.0f} ms per fit, {1e3 * lifted:4.0f} ms of it lifting")
     points = grid.points(study)
     simulations = 4 * (len(study.train_seeds) + len(study.validation_seeds)) * simulation
     print(

@@ -124,8 +124,8 @@ def accuracy():
             "condition": fit.scaled_condition_number,
         }
         for name, method in METHODS.items():
-            found = fit.coefficients if name == "ours" else method(parts)
-            table.append(about | {"method": name, "error": columnwise(found[:, columns], exact)})
+            coefficients = fit.coefficients if name == "ours" else method(parts)
+            table.append(about | {"method": name, "error": columnwise(coefficients[:, columns], exact)})
     return pd.DataFrame(table)
 
 

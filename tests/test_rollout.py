@@ -206,6 +206,6 @@ def test_beyond_the_hull_a_model_follows_the_linear_one_of_its_data(columns, tor
     change = koopman.koopman_matrix(
         tras.Monomials(1).fit(np.zeros(4), np.zeros(2)), model.channels_.scaled(torque_data)
     )[0] - np.eye(7)
-    wanted = outward_rates(change, 4, model.dt_, 4)
-    assert np.allclose(model.outward_, wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
+    exact = outward_rates(change, 4, model.dt_, 4)
+    assert np.allclose(model.outward_, exact, rtol=1e-9, atol=1e-9 * np.abs(exact).max())
     assert np.array_equal(model.outward_step_, over_a_sample(model.outward_, model.dt_))

@@ -87,9 +87,9 @@ def whole():
 
 def parameter_errors(model, recording):
     """Relative, of the eight lumped parameters."""
-    found = tras.lumped_parameters(model, recording)
+    lumped = tras.lumped_parameters(model, recording)
     true = tras.PlantParameters().as_dict()
-    return np.abs([found[name] / true[name] - 1 for name in found.index])
+    return np.abs([lumped[name] / true[name] - 1 for name in lumped.index])
 
 
 @pytest.mark.slow

@@ -39,10 +39,10 @@ def experiment(seed, samples=SAMPLES):
 
 def trajectories(count, samples=SAMPLES, first=1):
     """That many trajectories; after `DIFFERENT` of them the same ones come again, which costs no simulation."""
-    parts, found = [], 0
-    while found < count:
+    parts, total = [], 0
+    while total < count:
         parts.append(parts[-DIFFERENT] if len(parts) >= DIFFERENT else experiment(first + len(parts), samples))
-        found += len(parts[-1][0])
+        total += len(parts[-1][0])
     return tuple(np.concatenate(part)[:count] for part in zip(*parts))
 
 

@@ -196,16 +196,16 @@ def loop(bench, problem):
 
 def summary(runs, references):
     """Medians over the runs, of times and of the ratios of each run to its reference."""
-    found = {"runs": len(runs)}
+    medians = {"runs": len(runs)}
     if not runs:
-        return found
+        return medians
     for kind in ("cpu", "wall"):
-        found[f"{kind}_s"] = statistics.median(run[kind] for run in runs)
+        medians[f"{kind}_s"] = statistics.median(run[kind] for run in runs)
         ratios = [run[kind] / other[kind] for run, other in zip(runs, references) if other[kind] > 0]
-        found[f"{kind}_ratio"] = statistics.median(ratios) if ratios else None
-    found["cpu_least_s"], found["cpu_most_s"] = min(run["cpu"] for run in runs), max(run["cpu"] for run in runs)
-    found["peak_mib"] = max(run["peak"] for run in runs) / 2**20
-    return found
+        medians[f"{kind}_ratio"] = statistics.median(ratios) if ratios else None
+    medians["cpu_least_s"], medians["cpu_most_s"] = min(run["cpu"] for run in runs), max(run["cpu"] for run in runs)
+    medians["peak_mib"] = max(run["peak"] for run in runs) / 2**20
+    return medians
 
 
 def hopeless(rows, method, pairs, functions):
@@ -242,13 +242,13 @@ def compare(bench, methods, cells, rolled, say, exact_up_to=50_000 * 1006):
             if method.variant in ROLLED_ONLY and not rolls:
                 continue
             reason = bench.missing.get(method.environment) or hopeless(rows, method, pairs, functions)
-            found = {"fit": {"outcome": reason, "runs": 0}}
+            measurement = {"fit": {"outcome": reason, "runs": 0}}
             if not reason:
                 options = {"with_exact": pairs * functions <= exact_up_to, "rolled": rolls}
                 lock = ROOT / f"benchmarks/peers/{method.environment}.txt" if method.environment else None
                 slug = method.name.replace(", ", "-").replace(" ", "-")
                 key = f"{slug}-{pairs}-{functions}-{fingerprint(lock)}-{digest(bench.limits, options)}"
-                found = bench.cached(
+                measurement = bench.cached(
                     key,
                     lambda method=method, options=options, problem=problem: measured(
                         bench, method, problem(), **options
@@ -256,7 +256,7 @@ def compare(bench, methods, cells, rolled, say, exact_up_to=50_000 * 1006):
                 )
             rows += [
                 {"what": what, "method": method.name, "pairs": pairs, "functions": functions} | row
-                for what, row in found.items()
+                for what, row in measurement.items()
             ]
         bench.forget_references()
     return rows
@@ -293,8 +293,8 @@ def grow(bench, say, against=GROWTH):
                         bench, variants[variant], problem, rolled=rolled, compared=False, fits=1 if rolled else None
                     )
 
-                found = bench.cached(key, measure)
-                row = found.get("roll-out" if variable == "trajectories" else "fit", found["fit"])
+                measurement = bench.cached(key, measure)
+                row = measurement.get("roll-out" if variable == "trajectories" else "fit", measurement["fit"])
                 rows.append(
                     {"against": variable, "variant": variant}
                     | row

@@ -38,10 +38,10 @@ def exponent(x, y, level=0.95):
     x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     if not ((x > 0).all() and (y > 0).all()):
         raise ValueError("x and y must be positive: an exponent is a slope of logarithms.")
-    kept = x >= x.max() / LAST * (1 - 1e-9) if len(x) else np.zeros(0, dtype=bool)
-    if len(np.unique(x[kept])) < 2:
-        raise ValueError(f"{kept.sum()} points in the last decade of x; give at least two different ones.")
-    u, v, points = np.log(x[kept]), np.log(y[kept]), int(kept.sum())
+    large = x >= x.max() / LAST * (1 - 1e-9) if len(x) else np.zeros(0, dtype=bool)
+    if len(np.unique(x[large])) < 2:
+        raise ValueError(f"{large.sum()} points in the last decade of x; give at least two different ones.")
+    u, v, points = np.log(x[large]), np.log(y[large]), int(large.sum())
     u, v = u - u.mean(), v - v.mean()
     slope = u @ v / (u @ u)
     deviation = np.sqrt(np.sum((v - slope * u) ** 2) / (points - 2) / (u @ u)) if points > 2 else np.nan
@@ -192,8 +192,8 @@ def _grid(part, cell):
     counts = sorted(part["functions"].unique())
     rows = []
     for method in part["method"].unique():
-        found = part[part["method"] == method].set_index("functions")
-        cells = [cell(found.loc[count]) if count in found.index else "" for count in counts]
+        by_count = part[part["method"] == method].set_index("functions")
+        cells = [cell(by_count.loc[count]) if count in by_count.index else "" for count in counts]
         if any(cells):
             rows.append([method, *cells])
     return _markdown(["method", *(f"N = {count}" for count in counts)], rows)
@@ -225,8 +225,8 @@ def _over_the_floor(part):
         if "cpu_ratio" in part
         else part[:0]
     )
-    found = [f"{1 / row['cpu_ratio']:.2f} at N = {row['functions']}" for _, row in floor.iterrows()]
-    return f"\n\nOurs over the floor: {', '.join(found)}." if found else ""
+    ratios = [f"{1 / row['cpu_ratio']:.2f} at N = {row['functions']}" for _, row in floor.iterrows()]
+    return f"\n\nOurs over the floor: {', '.join(ratios)}." if ratios else ""
 
 
 def _memory(row):

@@ -50,13 +50,13 @@ def lift(problem, z):
         tail -= (z**2).sum(axis=1)[:, None] / problem.width**2
         np.exp(tail, out=tail)
         return psi
-    place = {tuple(row): j for j, row in enumerate(problem.exponents)}
+    row_of = {tuple(row): j for j, row in enumerate(problem.exponents)}
     for j, row in enumerate(problem.exponents):
         if row.sum() > 1:  # a shorter monomial, which comes before it, times one channel
             channel = np.flatnonzero(row)[0]
             shorter = row.copy()
             shorter[channel] -= 1
-            np.multiply(psi[:, place[tuple(shorter)]], z[:, channel], out=psi[:, j])
+            np.multiply(psi[:, row_of[tuple(shorter)]], z[:, channel], out=psi[:, j])
     return psi
 
 

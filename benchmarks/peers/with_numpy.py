@@ -67,7 +67,7 @@ def roll_out(problem, model):
     if model is None:
         return None
     W = np.ascontiguousarray(model[:, 1 : 1 + problem.n])
-    found = [problem.x0]
+    states = [problem.x0]
     for u in problem.u.transpose(1, 0, 2)[:-1]:
-        found.append(problems.lift(problem, np.hstack([found[-1], u])) @ W)
-    return np.stack(found, axis=1)
+        states.append(problems.lift(problem, np.hstack([states[-1], u])) @ W)
+    return np.stack(states, axis=1)

@@ -136,8 +136,8 @@ def test_centres_from_data_lie_in_the_data():
     assert np.abs(means.centres_ - [0.5, 0.5, -0.5]).max() < 0.35
     distances = np.linalg.norm(means.centres_[:, None] - means.centres_, axis=-1)[np.triu_indices(6, 1)]
     assert means.width_ == pytest.approx(np.median(distances))
-    given = tras.GaussianRBF(centres=[[0, 0, 0], [0.5, 0.5, -0.5]]).fit(x, u)
-    assert given.centres_.shape == (2, 3)
+    explicit = tras.GaussianRBF(centres=[[0, 0, 0], [0.5, 0.5, -0.5]]).fit(x, u)
+    assert explicit.centres_.shape == (2, 3)
 
 
 @pytest.mark.parametrize(
