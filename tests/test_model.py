@@ -163,6 +163,7 @@ def test_prediction_that_leaves_is_nan_from_there_on_and_the_others_go_on():
     assert list(metrics.diverged(truth, states)) == [True, False]
 
 
+@pytest.mark.slow
 def test_score_is_minus_nrmse_and_a_grid_search_runs(torque_data):
     model = tras.KoopmanModel(tras.GaussianRBF(2)).fit(torque_data)
     assert model.score(torque_data) == pytest.approx(

@@ -60,6 +60,7 @@ VALUES = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(attributes=st.dictionaries(st.text(), VALUES, max_size=5))
 def test_attributes_come_back_exactly(attributes, tmp_path_factory):

@@ -59,6 +59,7 @@ def test_the_chosen_setting_is_the_best_one(results):
         assert group.loc[group["chosen"], "error"].iloc[0] == group["error"].min()
 
 
+@pytest.mark.slow
 def test_the_bound_is_a_bound(results):
     scores = (
         results["scores"][lambda t: (t["input"] == "torque") & (t["horizon"] == 1.0)].groupby("method")["nrmse"].max()
@@ -154,6 +155,7 @@ def test_a_method_that_cannot_be_fitted_says_why(study, recordings, monkeypatch)
     assert "alpha is -1.0" in comparison.case(study, job, *recordings)["failure"]
 
 
+@pytest.mark.slow
 def test_figures_hold_every_method(results):
     horizon, amount = (
         figures_comparison.horizon_table(results["scores"]),
@@ -184,6 +186,7 @@ def test_a_table_without_its_columns_is_refused(draw):
         draw(pd.DataFrame({"method": ["a"]}))
 
 
+@pytest.mark.slow
 def test_the_readme_holds_the_table(results, tmp_path, capsys):
     results["scores"].to_csv(tmp_path / "comparison.csv", index=False)
     readme = tmp_path / "README.md"
@@ -221,6 +224,7 @@ def test_lost_predictions_stand_in_the_table():
     assert "| M | 7 | - | 1.5 / 1.5 (1 of 4 diverged) | - / - (4 of 4 diverged) |" in tables.methods_markdown(rows)
 
 
+@pytest.mark.slow
 def test_as_many_windows_as_metrics_count(results):
     assert (
         figures.WIDTH < figures_comparison.WIDE
