@@ -1,4 +1,4 @@
-"""Many closed loops at once (`tras.simulate_closed_loops`) against one after the other: 6 s of the experiment, CPU seconds of one core.
+"""Closed loops together (`tras.simulate_closed_loops`) and one by one: 6 s of the experiment, CPU seconds of one core.
 
 .venv/bin/python benchmarks/closed_loops.py [--runs 1 10 100 1000] [--rounds 5]
 """

@@ -2,8 +2,8 @@
 
     .venv/bin/python benchmarks/faults.py [--params params/smoke.yaml] [--kills 20] [--seed 1] [--only kill damage disk]
 
-Works in a temporary clone of this checkout with an environment of its own, and prints a table; the exit status is 1 if something
-was wrong. The small parameters take about ten minutes. The part `disk` needs root, for a small file system in memory.
+Works in a temporary clone of this checkout with its own environment and prints a table; the exit status is 1 if
+something was wrong. Smoke parameters take ten minutes. The part `disk` needs root, for a small file system in memory.
 """
 
 import argparse
@@ -31,7 +31,7 @@ class Wrong(Exception):
     """What should not have happened."""
 
 
-# --- the clone -------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def clone(folder, params):
@@ -71,7 +71,8 @@ def make():
 def artefacts():
     """Every file under a final name -> its checksum; what begins with a dot is temporary and counts elsewhere.
 
-    The cache of 06_readings is no artefact: it may be deleted, and what is damaged in it is said and computed again (tests/paper/test_grid.py).
+    The cache of 06_readings is no artefact: it may be deleted, and what is damaged in it is reported and computed again
+    (tests/paper/test_grid.py).
     """
     files = [path for folder in ("data", "figures") for path in (BUILD / folder).rglob("*") if path.is_file()]
     files = [path for path in files if not path.name.startswith(".") and not {"provenance", "cache"} & set(path.parts)]
@@ -85,20 +86,20 @@ def leftovers():
 
 def processes():
     """Processes that work in this folder."""
-    found = []
+    numbers = []
     for path in Path("/proc").glob("[0-9]*"):
         try:
             if int(path.name) != os.getpid() and Path(os.readlink(path / "cwd")).is_relative_to(Path.cwd()):
-                found.append(int(path.name))
+                numbers.append(int(path.name))
         except OSError:
             pass
-    return found
+    return numbers
 
 
 def check_complete(expected):
-    """All artefacts with the expected bytes, every stage with its stamp and with a record that fits, nothing temporary."""
-    found = artefacts()
-    wrong = sorted(name for name in {*found, *expected} if found.get(name) != expected.get(name))
+    """All artefacts have the expected bytes, every stage its stamp and a record that fits; no temporary files."""
+    checksums = artefacts()
+    wrong = sorted(name for name in {*checksums, *expected} if checksums.get(name) != expected.get(name))
     if wrong:
         raise Wrong(f"other bytes in {', '.join(wrong)}")
     for stage in STAGES:
@@ -107,7 +108,10 @@ def check_complete(expected):
         for name, written in record["outputs"].items():
             path = Path(name)
             beside = json.loads((path.parent / "provenance" / f"{path.name}.json").read_text())
-            if not found[name] == written["sha256"] == beside["sha256"] or beside["parameters"] != record["parameters"]:
+            if (
+                not checksums[name] == written["sha256"] == beside["sha256"]
+                or beside["parameters"] != record["parameters"]
+            ):
                 raise Wrong(f"the provenance of {name} is not its own")
     if leftovers():
         raise Wrong(f"left over: {', '.join(leftovers())}")
@@ -115,14 +119,16 @@ def check_complete(expected):
 
 def check_whole(*allowed):
     """Whatever lies under a final name has the bytes of one complete run or the other: nothing is half written."""
-    found = artefacts()
+    checksums = artefacts()
     odd = sorted(
-        name for name, checksum in found.items() if checksum not in [expected.get(name) for expected in allowed]
+        name for name, checksum in checksums.items() if checksum not in [expected.get(name) for expected in allowed]
     )
     if odd:
-        kept = Path(tempfile.mkdtemp(prefix="tras-odd-"))
-        shutil.copytree(BUILD, kept / "build")
-        raise Wrong(f"of {len(found)} files these are of neither run: {', '.join(odd)}; all of them are kept in {kept}")
+        copy = Path(tempfile.mkdtemp(prefix="tras-odd-"))
+        shutil.copytree(BUILD, copy / "build")
+        raise Wrong(
+            f"of {len(checksums)} files these are of neither run: {', '.join(odd)}; all of them are kept in {copy}"
+        )
     for stage in STAGES:
         if (BUILD / f"{stage}.ipynb").exists():
             json.loads((BUILD / f"{stage}.ipynb").read_text())
@@ -141,11 +147,11 @@ def finish(expected):
     return printed, seconds
 
 
-# --- the faults ------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def kill(number, rng, states, expected, other, seconds):
-    """Kill make and its group at a random moment, starting from nothing, from another run's results or from a part of this one."""
+    """Kill make and its group at a random moment: from nothing, from another run's results, from a part of this one."""
     wait_for_orphans()
     kind = rng.choice(["nothing", "results of other parameters", "a part of the results"])
     shutil.rmtree(BUILD, ignore_errors=True)
@@ -163,7 +169,8 @@ def kill(number, rng, states, expected, other, seconds):
             time.sleep(0.0005)  # every second time wait for a file that is being written
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
-        where = f"stages done: {sum((BUILD / f'{stage}.ipynb').exists() for stage in STAGES)}, half-written temporary files: {len(leftovers())}"
+        done = sum((BUILD / f"{stage}.ipynb").exists() for stage in STAGES)
+        where = f"stages done: {done}, half-written temporary files: {len(leftovers())}"
     check_whole(expected, other)
     finish(expected)
     return f"{number:2}  from {kind}, after {moment:.1f} s, {where}"
@@ -182,15 +189,15 @@ def damage(name, how, rng, expected):
     """Damage one file: the next make must name it and make it again."""
     path = Path(name)
     status, content = path.stat(), bytearray(path.read_bytes())
-    place = rng.randrange(len(content))
+    position = rng.randrange(len(content))
     if how == "deleted":
         path.unlink()
     elif how == "truncated":
-        os.truncate(path, place)
+        os.truncate(path, position)
     elif how == "emptied":
         os.truncate(path, 0)
     else:
-        content[place] ^= 1 << rng.randrange(8)
+        content[position] ^= 1 << rng.randrange(8)
         path.write_bytes(content)
     if "times" in how:
         os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
@@ -209,23 +216,23 @@ def full_disk(size, expected):
         status, printed, _ = make()
         if not status:
             raise Wrong(f"{size} bytes were enough")
-        said = [
+        messages = [
             line
             for line in printed.splitlines()
             if re.search(r"(written \(|\[Errno 28\] )No space left on device.*(nothing was left|make room)", line)
         ]
-        if not said or "Traceback" in printed:
+        if not messages or "Traceback" in printed:
             raise Wrong(f"no clear sentence, but: {printed[-1500:]}")
         check_whole(expected)
         subprocess.run(["mount", "-o", "remount,size=1g", str(BUILD)], check=True)
         finish(expected)
-        return f"{size / 1e6:.2f} MB: exit status {status}, {len(said)} line(s): {said[0][:150]}"
+        return f"{size / 1e6:.2f} MB: exit status {status}, {len(messages)} line(s): {messages[0][:150]}"
     finally:
         wait_for_orphans()
         subprocess.run(["umount", str(BUILD)], check=True)
 
 
-# --- all of them -----------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def baselines(params):
@@ -248,7 +255,7 @@ def baselines(params):
         shutil.copytree(BUILD, states[name])
     differing = sum(sums["own"][name] != sums["other"][name] for name in sums["own"])
     print(
-        f"Undisturbed: {seconds:.1f} s, {len(sums['own'])} artefacts, {differing} of them other ones with the other parameters.\n",
+        f"Undisturbed: {seconds:.1f} s, {len(sums['own'])} artefacts, {differing} change with the parameters.\n",
         flush=True,
     )
     return states, sums["own"], sums["other"], seconds

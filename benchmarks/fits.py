@@ -1,9 +1,9 @@
-"""Fits a second in the grid of readings (`tras.paper.grid`): identification with log K and equation (18), from the paper's 40 000 snapshot pairs.
+"""Fits per second in the grid of readings (`tras.paper.grid`): log K and equation (18) from 40 000 snapshot pairs.
 
     .venv/bin/python benchmarks/fits.py [--rounds 5]
 
-CPU times of one core, the best of several rounds; "two cores" is twice as many. Run it with OPENBLAS_NUM_THREADS=1, as make does: with more
-threads waiting ones count as CPU time.
+CPU times of one core, the best of several rounds; "two cores" is twice as many. OPENBLAS_NUM_THREADS=1, as make has it:
+with more threads the waiting ones count as CPU time.
 """
 
 import argparse
@@ -46,7 +46,7 @@ for method in ("__call__", "lift_with_slopes"):
     setattr(Dictionary, method, timed(getattr(Dictionary, method)))
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="Fits a second in the grid of readings.")
+    parser = argparse.ArgumentParser(description="Fits per second in the grid of readings.")
     parser.add_argument("--rounds", type=int, default=5)
     rounds = parser.parse_args().rounds
     study = grid.Study()
@@ -58,13 +58,12 @@ if __name__ == "__main__":
         N, whole, lifted = best_times(study, recording, name, rounds)
         share = len(study.centre_draws) if name in grid.DRAWN else 1  # how often the grid has it
         total, bare, fits = total + share * whole, bare + share * (whole - lifted), fits + share
-        print(f"{name:12s} N = {N:2d}: {1e3 * whole:5.0f} ms a fit, {1e3 * lifted:4.0f} ms of it lifting")
+        print(f"{name:12s} N = {N:2d}: {1e3 * whole:5.0f} ms per fit, {1e3 * lifted:4.0f} ms of it lifting")
     points = grid.points(study)
     simulations = 4 * (len(study.train_seeds) + len(study.validation_seeds)) * simulation
     print(
-        f"the grid's mix, two cores: {2 * fits / bare:.0f} fits/s without lifting, {2 * fits / total:.0f} with lifting, ",
+        f"the grid's mix, two cores: {2 * fits / bare:.0f} fits/s alone, {2 * fits / total:.0f} with lifting, ",
         end="",
     )
-    print(
-        f"{2 * len(points) / (len(points) * total / fits + simulations):.0f} with lifting and simulations ({simulation:.2f} s each)"
-    )
+    seconds = len(points) * total / fits + simulations
+    print(f"{2 * len(points) / seconds:.0f} with lifting and simulations ({simulation:.2f} s each)")

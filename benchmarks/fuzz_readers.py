@@ -2,12 +2,12 @@
 
     .venv/bin/python benchmarks/fuzz_readers.py [--inputs 100000] [--seed 1] [--only csv nc] [--csv counts.csv]
 
-Each input is a valid file of one format, our own or as other tools write it, damaged in one to eight places. It is read in a child
-process, many one after the other; one that takes longer than ten seconds is a hang, a child that dies is a crash, anything but a
-`RecordingError` is a traceback. A recording read without complaint with other numbers, names, units or sampling time is counted as
-"other content": "silent", an error, where the file has a checksum (.nc, .parquet and .mat that we wrote), and what cannot be noticed
-where it has none (a digit of a CSV, a number in a .mat or .parquet of another tool). "unforeseen" counts the damage that only
-the last net caught: errors raised by a library or by us that are no sentence about the file. Exit status 1 if something was wrong.
+Each input is a valid file of one format, our own or as other tools write it, damaged in one to eight places. A child
+process reads one after the other: ten seconds are a hang, a dead child is a crash, anything but a `RecordingError` is a
+traceback. A recording read without complaint with other numbers, names, units or sampling time is "other content":
+"silent", an error, where the file has a checksum (.nc, .parquet and .mat that we wrote), else what cannot be noticed (a
+digit of a CSV, a number in another tool's .mat or .parquet). "unforeseen" counts damage that only the last net caught:
+errors of a library or of ours that are no sentence about the file. Exit status 1 if something was wrong.
 """
 
 import argparse
@@ -73,44 +73,44 @@ def _cell(values):
 def _matlab73(path, cells):
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, values in cells.items():
-            found = []
+            references = []
             for value in values[0]:
                 item = file.create_dataset(
-                    f"#refs#/{name}{len(found)}", data=np.atleast_2d(value).T if value.ndim == 1 else value.T
+                    f"#refs#/{name}{len(references)}", data=np.atleast_2d(value).T if value.ndim == 1 else value.T
                 )
                 item.attrs["MATLAB_class"] = np.bytes_("double")
-                found.append(item.ref)
-            file.create_dataset(name, data=np.array([found], dtype=h5py.ref_dtype)).attrs["MATLAB_class"] = np.bytes_(
-                "cell"
+                references.append(item.ref)
+            file.create_dataset(name, data=np.array([references], dtype=h5py.ref_dtype)).attrs["MATLAB_class"] = (
+                np.bytes_("cell")
             )
 
 
 def damaged(content, others, rng):
-    """The content with one to eight wounds: bits and bytes changed, cut off, left out, doubled, taken from another file."""
+    """The content with one to eight wounds: bits and bytes changed, cut off, left out, doubled, from another file."""
     content = bytearray(content)
     for _ in range(rng.choice((1, 1, 1, 2, 3, 8))):
         if not content:
             return b""
-        place, length = int(rng.integers(len(content))), int(rng.integers(1, 65))
+        position, length = int(rng.integers(len(content))), int(rng.integers(1, 65))
         kind = rng.integers(8)
         if kind <= 1:
-            content[place] ^= 1 << int(rng.integers(8))
+            content[position] ^= 1 << int(rng.integers(8))
         elif kind == 2:
-            content[place] = int(rng.integers(256))
+            content[position] = int(rng.integers(256))
         elif kind == 3:
-            content[place : place + 4] = rng.choice(
+            content[position : position + 4] = rng.choice(
                 (b"\xff\xff\xff\xff", b"\x00\x00\x00\x00", b"\xff\xff\xff\x7f", b"\x00\x00\x00\x80")
             )
         elif kind == 4:
-            del content[place:]
+            del content[position:]
         elif kind == 5:
-            del content[place : place + length]
+            del content[position : position + length]
         elif kind == 6:
-            content[place:place] = content[place : place + length]
+            content[position:position] = content[position : position + length]
         else:
             other = others[int(rng.integers(len(others)))]
             start = int(rng.integers(len(other)))
-            content[place : place + length] = other[start : start + length]
+            content[position : position + length] = other[start : start + length]
     return bytes(content)
 
 
@@ -176,14 +176,14 @@ class Child:
         try:
             if self.answers.poll(PATIENCE):
                 return self.answers.recv()
-            found = "hang", ""
+            verdict = "hang", ""
         except EOFError:
             self.process.join()
-            found = "crash", f"exit status {self.process.exitcode}"
+            verdict = "crash", f"exit status {self.process.exitcode}"
         self.process.kill()
         self.process.join()
         self.start()
-        return found
+        return verdict
 
 
 def main():
@@ -204,12 +204,12 @@ def main():
         child = Child(Path(folder), names, contents, truths)
         for number in range(options.inputs):
             name = names[number % len(names)]
-            found, words = child.ask((name, (options.seed, number)))
-            counts[name][found] += 1
-            if words or (found == "other content" and name in CHECKED) or found in WRONG:
-                kinds[f"{name}: {found} {words}"] += 1
-                if found in WRONG or (found == "other content" and name in CHECKED):
-                    print(f"{name}, seed {options.seed} {number}: {found} {words}", flush=True)
+            verdict, words = child.ask((name, (options.seed, number)))
+            counts[name][verdict] += 1
+            if words or (verdict == "other content" and name in CHECKED) or verdict in WRONG:
+                kinds[f"{name}: {verdict} {words}"] += 1
+                if verdict in WRONG or (verdict == "other content" and name in CHECKED):
+                    print(f"{name}, seed {options.seed} {number}: {verdict} {words}", flush=True)
             if time.monotonic() - began > options.seconds:
                 break
         child.end()
@@ -217,7 +217,8 @@ def main():
     print(table.to_string(index=False))
     memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
     print(
-        f"{sum(table['inputs'])} inputs in {time.monotonic() - began:.0f} s, seed {options.seed}; at most {memory:.0f} MiB of memory"
+        f"{sum(table['inputs'])} inputs in {time.monotonic() - began:.0f} s, seed {options.seed}; "
+        f"at most {memory:.0f} MiB of memory"
     )
     for words, times in kinds.most_common(40):
         print(f"{times:6d}  {words}")

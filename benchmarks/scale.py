@@ -1,4 +1,4 @@
-"""Memory and time of a fit of data that are made as they are needed, one piece after the other: never more than one piece exists.
+"""Memory and time of a fit of data that are made as they are needed, one piece after the other.
 
     .venv/bin/python benchmarks/scale.py [--pairs 2e6] [--degree 3] [--checkpoint PATH]
 
@@ -31,9 +31,9 @@ def resident(kind="VmRSS"):
 
 
 def laboratory(pairs, samples=100_001, seed=0):
-    """A callable that gives recordings of ``samples`` samples, so many pairs together: four states that follow two held inputs, with noise.
+    """A callable that makes so many pairs, in recordings of ``samples``: four noisy states that follow two held inputs.
 
-    Cheap to make: a block of a linear oscillator's response, shifted in time, bent and perturbed anew for every recording.
+    Cheap to make: the response of a linear oscillator, shifted in time, bent and perturbed anew for every recording.
     """
     rng = np.random.default_rng(seed)
     t = np.arange(2 * samples) * 0.001
@@ -71,10 +71,12 @@ def main():
     model = tras.KoopmanModel(tras.Monomials(options.degree)).fit(source, progress=True, checkpoint=options.checkpoint)
     seconds = time.perf_counter() - start
     print(
-        f"{produced} pairs, N = {len(model.names_)}, strength {model.strength_:g}, condition number {model.condition_number:.1e}"
+        f"{produced} pairs, N = {len(model.names_)}, strength {model.strength_:g}, "
+        f"condition number {model.condition_number:.1e}"
     )
     print(
-        f"resident memory: {before:.0f} MiB before, at most {resident('VmHWM'):.0f} MiB, the fit's own {resident('VmHWM') - before:.0f} MiB"
+        f"resident memory: {before:.0f} MiB before, at most {resident('VmHWM'):.0f} MiB, "
+        f"the fit's own {resident('VmHWM') - before:.0f} MiB"
     )
     print(f"fit {seconds:.1f} s, {produced / seconds:.3g} pairs/s; of this making the data twice {2 * making:.1f} s")
 

@@ -105,7 +105,7 @@ PROBLEMS = [  # of rising size; inputs, dictionary
 
 
 def accuracy():
-    """Largest error of a coefficient over the largest coefficient of its column, of some columns, against double-double arithmetic."""
+    """Largest error of a coefficient over the largest one of its column, some columns, against double-double."""
     from test_least_squares import columnwise, extended
 
     table = []
@@ -124,8 +124,8 @@ def accuracy():
             "condition": fit.scaled_condition_number,
         }
         for name, method in METHODS.items():
-            found = fit.coefficients if name == "ours" else method(parts)
-            table.append(about | {"method": name, "error": columnwise(found[:, columns], exact)})
+            coefficients = fit.coefficients if name == "ours" else method(parts)
+            table.append(about | {"method": name, "error": columnwise(coefficients[:, columns], exact)})
     return pd.DataFrame(table)
 
 

@@ -10,6 +10,14 @@ import pytest
 import tras
 
 ROOT = Path(__file__).parent.parent
+SLOW = {"cluster", "checkout", "browser"}  # fixtures that take seconds
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if SLOW.intersection(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture(scope="session")
@@ -38,7 +46,7 @@ def cluster():
 
 @pytest.fixture(scope="module")
 def browser():
-    """Debian's chromium, driven by Playwright; none, no test. (Not for the session: Playwright holds the event loop while it lives.)"""
+    """Debian's chromium, driven by Playwright, or a skip. (Not per session: Playwright holds the event loop.)"""
     playwright = pytest.importorskip(
         "playwright.sync_api", reason="needs Playwright, which environment.txt has: make setup"
     )

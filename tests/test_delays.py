@@ -53,7 +53,7 @@ def test_delayed_values_by_hand():
 
 @pytest.mark.parametrize("predictor", ["vector_field", "one_step"])
 def test_angles_alone_are_predicted_with_delays_and_not_without(predictor, seen, unseen):
-    """NRMSE over 1 s, measured: 4.7 and 10 % without delays, 0.7 and 0.9 % with one, 0.2 to 0.4 and 0.4 to 0.7 % with two."""
+    """NRMSE over 1 s, measured: 4.7 and 10 % without delays, 0.7 and 0.9 % with one, 0.2-0.4 and 0.4-0.7 % with two."""
     error = []
     for delays in (0, 1, 2):
         model = tras.KoopmanModel(tras.Monomials(1), predictor, delays=delays).fit(seen)
@@ -134,7 +134,7 @@ def test_a_saved_model_keeps_its_delays(position, tmp_path):
 
 
 def test_vector_field_of_an_oscillator_seen_by_its_position():
-    """x'' = -4 x - 0.2 x': the rate of x and of the earlier x as functions of both; roll-outs are held to 1e-8 a sample."""
+    """x'' = -4 x - 0.2 x': the rate of x and of the earlier x as functions of both; roll-outs to 1e-8 per sample."""
     whole = ode_recording(lambda x, u: [x[1], -4 * x[0] - 0.2 * x[1]], 0.05, n=2, trajectories=10, samples=41)
     recording = whole.select(states=["x1"])
     model = tras.KoopmanModel(tras.Monomials(1), delays=1).fit(recording)

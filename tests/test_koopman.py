@@ -47,6 +47,7 @@ def test_dealing_gives_every_pair_once_and_blocks_of_one_size(lengths, block, lo
         assert min(len(part[0]) for part in blocks) >= block - lot + 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inputs", ["none", "held", "moving", "states alone"])
 @pytest.mark.parametrize(
     "dictionary",
@@ -58,7 +59,7 @@ def test_dealing_gives_every_pair_once_and_blocks_of_one_size(lengths, block, lo
     ],
 )
 def test_rows_are_the_liftings_of_both_ends(dictionary, inputs, monkeypatch):
-    """... whether the second lifting is computed or is the next pair's first, in blocks beyond a strip of points and below."""
+    """... whether the second lifting is computed or is the next pair's first, in blocks above and below a strip."""
     monkeypatch.setattr(dictionaries, "STRIP", 256)
     rng = np.random.default_rng(0)
     x = [rng.uniform(-1, 1, (k, 2)) for k in (700, 3, 2, 90)]
@@ -160,7 +161,7 @@ def test_linear_system_gives_its_exponential_and_log_gives_it_back():
 
 
 class SlowManifold(Dictionary):
-    """(1, x1, x2, x1^2): closed under the flow of x1' = mu x1, x2' = lambda (x2 - x1^2) (S. L. Brunton et al., PLoS ONE 11, 2016)."""
+    """(1, x1, x2, x1^2), closed under x1' = mu x1, x2' = lambda (x2 - x1^2) (Brunton et al., PLoS ONE 11, 2016)."""
 
     def _build(self):
         return 1
@@ -191,10 +192,10 @@ def test_slow_manifold_has_its_exact_spectrum():
 
 
 def test_vector_field_of_a_polynomial_system_with_input():
-    """x1' = -x1 + u, x2' = -0.3 x2 + x1^2 - u x1: the field lies in the span of monomials of degree 2, their rates do not.
+    """x1' = -x1 + u, x2' = -0.3 x2 + x1^2 - u x1: monomials of degree 2 span the field, not their rates.
 
-    Read from the states' columns the field is recovered. Equation (18) also asks the rates of x2^2, x1 x2, ... to fit, which they
-    cannot, and the error of that shows in F: the reason why "coordinates" is the default.
+    The states' columns give the field. Equation (18) also asks the rates of x2^2, x1 x2, ... to fit, which they cannot,
+    and that error shows in F: the reason why "coordinates" is the default.
     """
     rate = lambda x, u: np.array([-x[0] + u[0], -0.3 * x[1] + x[0] ** 2 - u[0] * x[0]])  # noqa: E731
     recording = ode_recording(rate, 0.001, n=2, m=1, trajectories=200, samples=4)
@@ -275,7 +276,7 @@ def test_no_principal_logarithm_is_said_with_the_eigenvalue(K, eigenvalue):
 
 
 def test_dead_time_has_no_logarithm():
-    """A zero Jordan block, as a delay of whole samples gives it, in a random basis: its eigenvalues are zero up to eps^(1/3) only."""
+    """A zero Jordan block, as a delay of whole samples gives it, in a random basis: its eigenvalues are eps^(1/3)."""
     for seed in range(6):
         S = np.random.default_rng(seed).normal(size=(4, 4))
         K = S @ np.array([[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 0], [0, 0, 0, 0.9]]) @ np.linalg.inv(S)
@@ -284,7 +285,7 @@ def test_dead_time_has_no_logarithm():
 
 
 def test_negative_real_parts_alone_do_no_harm():
-    """The paper asks for eigenvalues with non-negative real parts; a rotation by 120 degrees a sample has none, and a logarithm."""
+    """The paper asks for eigenvalues with real parts >= 0; a rotation by 120 degrees has none, and yet a logarithm."""
     K = 0.9 * np.array([[np.cos(2.1), np.sin(2.1)], [-np.sin(2.1), np.cos(2.1)]])
     assert np.all(np.linalg.eigvals(K).real < 0)
     assert np.allclose(principal_logarithm(K)[0], [[np.log(0.9), 2.1], [-2.1, np.log(0.9)]], atol=1e-13)

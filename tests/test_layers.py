@@ -12,8 +12,8 @@ EVERYWHERE = "workflow.arguments"  # checks of numbers and names
 METHOD = "flat dictionaries solver io large"
 LEAVES = "workflow.files workflow.provenance"  # files moved into place, versions
 BELOW_PAPER = f"{METHOD} twin_rotor identification control export sweeps workflow"
-# Room (a folder of tras/; "flat" for the files beside them) -> what it may import besides itself: rooms, or single modules.
-# `large` stands between `fitting` and `model`: a model reads through it what is larger than memory. No circle of files either way.
+# Room (a folder of tras/; "flat" for the files beside them) -> the rooms or modules that it may import besides itself.
+# `large` stands between `fitting` and `model`: a model reads through it what is larger than memory.
 MAY_IMPORT = {
     "workflow": "",
     "dictionaries": "",
@@ -32,7 +32,7 @@ MAY_IMPORT = {
 
 
 def imports(folder):
-    """Module -> the modules that it imports, at its top or inside functions; without `tras.` and without the folders' docstrings."""
+    """Module -> the modules that it imports, anywhere; without `tras.` and without the folders' docstrings."""
     package = staleness.Package(folder)
     modules = {module for module, path in package.paths.items() if path.name != "__init__.py"}
     short = {module: module.removeprefix(f"{package.name}.") for module in modules}
@@ -65,17 +65,23 @@ def test_every_import_goes_down():
     assert problems(imports(ROOT / "tras")) == []
 
 
-# Files of a small package, and what is said of it.
+# Files of a small package, and the sentences about it.
 TREES = {
-    "downwards": ({"model": "from tras.solver import basis", "solver/basis": "", "paper/grid": "import tras\ntras.fit"}, []),
+    "downwards": (
+        {"model": "from tras.solver import basis", "solver/basis": "", "paper/grid": "import tras\ntras.fit"}, []),
     "upwards": ({"model": "from tras.paper import grid", "paper/grid": ""}, ["model imports paper.grid"]),
-    "upwards, inside a function": ({"model": "", "solver/basis": "def f():\n    from tras.model import fit"}, ["solver.basis imports model"]),
-    "upwards, by a public name": ({"model": "", "solver/basis": "import tras\ndef f():\n    tras.fit"}, ["solver.basis imports model"]),
+    "upwards, inside a function": (
+        {"model": "", "solver/basis": "def f():\n    from tras.model import fit"}, ["solver.basis imports model"]),
+    "upwards, by a public name": (
+        {"model": "", "solver/basis": "import tras\ndef f():\n    tras.fit"}, ["solver.basis imports model"]),
     "upwards, relatively": ({"model": "", "io/text": "from ..model import fit"}, ["io.text imports model"]),
-    "one module of a room": ({"io/text": "from tras.workflow import files, cache", "workflow/files": "", "workflow/cache": ""},
-                             ["io.text imports workflow.cache"]),
+    "one module of a room": (
+        {"io/text": "from tras.workflow import files, cache", "workflow/files": "", "workflow/cache": ""},
+        ["io.text imports workflow.cache"]),
     "only for types": ({"model": "", "solver/basis": "if TYPE_CHECKING:\n    from tras.model import fit"}, []),
-    "a circle": ({"model": "import tras.fitting", "fitting": "def f():\n    import tras.model"}, ["circle: fitting <- model <- fitting"]),
+    "a circle": (
+        {"model": "import tras.fitting", "fitting": "def f():\n    import tras.model"},
+        ["circle: fitting <- model <- fitting"]),
     "an unknown room": ({"attic/box": ""}, ["attic.box is in no known room: add attic to MAY_IMPORT"]),
     "a full corridor": ({f"file{n}": "" for n in range(15)}, ["16 flat files, at most 15"]),
 }  # fmt: skip

@@ -89,8 +89,8 @@ def test_the_judge_gives_the_metrics_of_what_did_not_diverge():
     span = [8.0, 8.0]
     assert np.array_equal(metrics.judge(TRUE, WRONG, span=span).nrmse, metrics.nrmse(TRUE, WRONG, span=span))
     one = metrics.judge(true, wrong, channels=[1], range_over="trajectory")  # it diverged in the other one
-    own = metrics.nrmse(TRUE[..., 1:], WRONG[..., 1:], range_over="trajectory")
-    assert one.diverged == 1 and np.array_equal(one.nrmse, own)
+    per_trajectory = metrics.nrmse(TRUE[..., 1:], WRONG[..., 1:], range_over="trajectory")
+    assert one.diverged == 1 and np.array_equal(one.nrmse, per_trajectory)
     assert np.array_equal(one.enr, metrics.enr(TRUE[..., 1:], WRONG[..., 1:]))
     unequal = [TRUE[0], np.concatenate([TRUE[1], TRUE[1]])], [WRONG[0], np.concatenate([WRONG[1], WRONG[1]])]
     assert np.array_equal(metrics.judge(*unequal).nrmse, metrics.nrmse(*unequal))

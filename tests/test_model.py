@@ -48,7 +48,7 @@ def test_vector_field_is_the_systems_own(oscillator):
 
 
 def test_lifted_linear_lifts_once_and_one_step_lifts_again():
-    """On x+ = 0.8 x - 0.2 x^2 + u, with the dictionary (1, x, u, x^2, ...), only re-lifting follows the truth for long."""
+    """x+ = 0.8 x - 0.2 x^2 + u, functions (1, x, u, x^2, ...): only re-lifting follows the truth for long."""
     rng = np.random.default_rng(0)
     u = rng.uniform(-0.04, 0.04, (30, 40, 1))
     x = np.zeros((30, 40, 1))
@@ -97,7 +97,7 @@ def test_slow_sampling_gets_more_steps():
 @pytest.mark.parametrize("predictor", PREDICTORS)
 @pytest.mark.slow
 def test_units_do_not_matter(predictor, torque_data, factors, shifts):
-    """Degrees, millimetres, an encoder's zero: the prediction is the same in the new units (shifts in units of the range)."""
+    """Degrees, millimetres, an encoder's zero: the same prediction in the new units (shifts in units of the range)."""
     factors, shifts = np.array(factors), np.array(shifts)
     x = torque_data.states * factors[:4] + shifts[:4] * factors[:4]
     u = torque_data.inputs * factors[4:] + shifts[4:] * factors[4:]
@@ -163,6 +163,7 @@ def test_prediction_that_leaves_is_nan_from_there_on_and_the_others_go_on():
     assert list(metrics.diverged(truth, states)) == [True, False]
 
 
+@pytest.mark.slow
 def test_score_is_minus_nrmse_and_a_grid_search_runs(torque_data):
     model = tras.KoopmanModel(tras.GaussianRBF(2)).fit(torque_data)
     assert model.score(torque_data) == pytest.approx(
@@ -173,6 +174,7 @@ def test_score_is_minus_nrmse_and_a_grid_search_runs(torque_data):
     assert np.isfinite(search.best_score_) and search.best_estimator_.koopman_matrix.ndim == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("predictor", PREDICTORS)
 @pytest.mark.parametrize(
     "dictionary",
@@ -231,6 +233,7 @@ def test_a_refit_forgets_the_fit_before(torque_data):
     assert not hasattr(model, "generator") and "Runge" not in model.report()
 
 
+@pytest.mark.slow
 def test_models_of_a_grid_search_and_of_drawn_centres_are_saved(torque_data, tmp_path):
     grid = {"dictionary__degree": np.arange(1, 3)}
     best = GridSearchCV(tras.KoopmanModel(tras.Monomials(1)), grid, cv=2).fit(torque_data).best_estimator_
@@ -268,35 +271,43 @@ def constant_input(experiment):
     return tras.Recording(x, u, 0.01, input_names=["u_phi", "u_psi"])
 
 
+def linear(*options, **named_options):
+    return tras.KoopmanModel(tras.Monomials(1), *options, **named_options)
+
+
+def resampled(e):
+    return tras.Recording(e.states, e.inputs, 0.02, state_names=e.state_names, input_names=e.input_names)
+
+
 @pytest.mark.parametrize(
     "call, words",
     [
-        (lambda e: tras.KoopmanModel(tras.Monomials(1), "magic").fit(e), "predictor is 'magic'; choose one of vector_field"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1), field="x").fit(e), "field is 'x'"),
+        (lambda e: linear("magic").fit(e), "predictor is 'magic'; choose one of vector_field"),
+        (lambda e: linear(field="x").fit(e), "field is 'x'"),
         (lambda e: tras.KoopmanModel(2).fit(e), "dictionary is 2; give one"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit([]), "recording is empty"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(e.states), "recording is ndarray; give a tras.Recording"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit([e, e.select(inputs=TORQUES)]), "recording 1 has input_names"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(constant_input(e)), "channel 'u_psi' is constant .0.5."),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1)).simulate([0], [[0]]), "not fitted"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1)).predict(e), "not fitted"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1)).eigenvalues, "not fitted"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(tras.Recording(e.states[:, :1], e.inputs[:, :1], 0.01)), "no trajectory has two samples"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1), delays=-1).fit(e), "delays is -1"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1), delays=501).fit(e), "too few for 501 delays"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1), strength=-1).fit(e), "strength is -1"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1), regularization="lasso").fit(e), "regularization is 'lasso'; choose one of shrink"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1), stable=True).fit(e), "stable=True needs predictor='lifted_linear'"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1), stable=0.99).fit(e), "stable=0.99 needs predictor='lifted_linear'"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1), "lifted_linear", stable=1.5).fit(e), "stable is 1.5; give True, False, or a spectral radius"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1), "lifted_linear", stable="yes").fit(e), "stable is 'yes'; give True, False"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(e).simulate([0, 0], e.inputs), "x0 has shape"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(e).simulate([0, 0, 0, 0], [0, 0]), "inputs has shape"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(e).simulate([0, 0, 0, np.inf], e.inputs), "NaN or infinity"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1), "one_step").fit(e).vector_field([0, 0, 0, 0]), "has no vector field"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(e).predict(e.select(inputs=TORQUES)), "no channel 'phi_ref'"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(e).predict(tras.Recording(e.states, e.inputs, 0.02, state_names=e.state_names, input_names=e.input_names)), "sampled at 0.02 s"),
-        (lambda e: tras.KoopmanModel(tras.Monomials(1)).fit(e).save("model.pkl"), "ends in '.pkl'"),
+        (lambda e: linear().fit([]), "recording is empty"),
+        (lambda e: linear().fit(e.states), "recording is ndarray; give a tras.Recording"),
+        (lambda e: linear().fit([e, e.select(inputs=TORQUES)]), "recording 1 has input_names"),
+        (lambda e: linear().fit(constant_input(e)), "channel 'u_psi' is constant .0.5."),
+        (lambda e: linear().simulate([0], [[0]]), "not fitted"),
+        (lambda e: linear().predict(e), "not fitted"),
+        (lambda e: linear().eigenvalues, "not fitted"),
+        (lambda e: linear().fit(tras.Recording(e.states[:, :1], e.inputs[:, :1], 1)), "no trajectory has two samples"),
+        (lambda e: linear(delays=-1).fit(e), "delays is -1"),
+        (lambda e: linear(delays=501).fit(e), "too few for 501 delays"),
+        (lambda e: linear(strength=-1).fit(e), "strength is -1"),
+        (lambda e: linear(regularization="lasso").fit(e), "regularization is 'lasso'; choose one of shrink"),
+        (lambda e: linear(stable=True).fit(e), "stable=True needs predictor='lifted_linear'"),
+        (lambda e: linear(stable=0.99).fit(e), "stable=0.99 needs predictor='lifted_linear'"),
+        (lambda e: linear("lifted_linear", stable=1.5).fit(e), "stable is 1.5; give True, False, or a spectral radius"),
+        (lambda e: linear("lifted_linear", stable="yes").fit(e), "stable is 'yes'; give True, False"),
+        (lambda e: linear().fit(e).simulate([0, 0], e.inputs), "x0 has shape"),
+        (lambda e: linear().fit(e).simulate([0, 0, 0, 0], [0, 0]), "inputs has shape"),
+        (lambda e: linear().fit(e).simulate([0, 0, 0, np.inf], e.inputs), "NaN or infinity"),
+        (lambda e: linear("one_step").fit(e).vector_field([0, 0, 0, 0]), "has no vector field"),
+        (lambda e: linear().fit(e).predict(e.select(inputs=TORQUES)), "no channel 'phi_ref'"),
+        (lambda e: linear().fit(e).predict(resampled(e)), "sampled at 0.02 s"),
+        (lambda e: linear().fit(e).save("model.pkl"), "ends in '.pkl'"),
     ],
 )  # fmt: skip
 def test_mistakes_are_named(call, words, experiment):

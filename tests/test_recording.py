@@ -43,7 +43,8 @@ def test_file_round_trip_is_exact(lengths, n, m, data, tmp_path_factory):
     draw = lambda k, c: np.array(data.draw(st.lists(finite, min_size=k * c, max_size=k * c))).reshape(k, c)  # noqa: E731
     recording = tras.Recording(
         [draw(k, n) for k in lengths], [draw(k, m) for k in lengths], data.draw(st.floats(1e-6, 1e6)),
-        state_names=[f"q{i}" for i in range(n)], state_units=["rad"] * n, attributes={"seed": 3, "who": "me", "limits": (1.0, 2.0)},
+        state_names=[f"q{i}" for i in range(n)], state_units=["rad"] * n,
+        attributes={"seed": 3, "who": "me", "limits": (1.0, 2.0)},
     )  # fmt: skip
     path = tmp_path_factory.mktemp("nc") / "a.nc"
     recording.write(path)
@@ -59,6 +60,7 @@ VALUES = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(attributes=st.dictionaries(st.text(), VALUES, max_size=5))
 def test_attributes_come_back_exactly(attributes, tmp_path_factory):
@@ -68,11 +70,12 @@ def test_attributes_come_back_exactly(attributes, tmp_path_factory):
 
 
 def test_attributes_of_every_kind(tmp_path):
-    given = {"nothing": None, "yes": True, "one": [3], "nested": [[1, 2.5], ["a", []]], "seed": 7, "who": "me", "rate": 0.1, "format": "mine",
-             "long": "x" * 200_000, "units": {"phi": "rad"}, "numpy": np.float32(0.5), "array": np.arange(3), "pair": (1, 2)}  # fmt: skip
-    recording = R(ZEROS, dt=1, attributes=given)
+    attributes = {"nothing": None, "yes": True, "one": [3], "nested": [[1, 2.5], ["a", []]], "seed": 7, "who": "me",
+             "rate": 0.1, "format": "mine", "long": "x" * 200_000, "units": {"phi": "rad"}, "numpy": np.float32(0.5),
+             "array": np.arange(3), "pair": (1, 2)}  # fmt: skip
+    recording = R(ZEROS, dt=1, attributes=attributes)
     recording.write(tmp_path / "a.nc")
-    expected = {**given, "numpy": 0.5, "array": [0, 1, 2], "pair": [1, 2]}
+    expected = {**attributes, "numpy": 0.5, "array": [0, 1, 2], "pair": [1, 2]}
     assert repr(R.read(tmp_path / "a.nc").attributes) == repr(recording.attributes) == repr(expected)
     with xarray.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as dataset:
         assert (dataset.attrs["seed"], dataset.attrs["who"], dataset.attrs["rate"], dataset.attrs["yes"]) == (
@@ -168,9 +171,9 @@ def test_indexing_and_shapes():
 
 
 def test_select_reorders_channels(experiment):
-    chosen = experiment.select(states=["psi", "phi"], inputs=["u_psi"])
-    assert chosen.state_names == ("psi", "phi") and chosen.input_units == ("N m",)
-    assert np.array_equal(chosen.states, experiment.states[..., [2, 0]])
+    part = experiment.select(states=["psi", "phi"], inputs=["u_psi"])
+    assert part.state_names == ("psi", "phi") and part.input_units == ("N m",)
+    assert np.array_equal(part.states, experiment.states[..., [2, 0]])
 
 
 @pytest.mark.parametrize(

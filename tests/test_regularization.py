@@ -124,7 +124,7 @@ def test_sparse_finds_a_planted_sparse_matrix_exactly():
 
 
 def test_sparse_model_is_the_system_that_made_the_data():
-    """x+ = 0.9 x + 0.1 y^2, y+ = 0.7 y + u, from 10 monomials: the states' columns of K - I hold 4 numbers that are not zero."""
+    """x+ = 0.9 x + 0.1 y^2, y+ = 0.7 y + u, from 10 monomials: K - I has 4 numbers in the states' columns."""
     rng = np.random.default_rng(0)
     u, x = rng.uniform(-1, 1, (20, 31, 1)), np.zeros((20, 31, 2))
     x[:, 0] = rng.uniform(-1, 1, (20, 2))
@@ -134,10 +134,10 @@ def test_sparse_model_is_the_system_that_made_the_data():
     recording = tras.Recording(x, u, 1.0)
     model = tras.KoopmanModel(tras.Monomials(2), "one_step", regularization="sparse", strength=1e-3).fit(recording)
     change = (model.koopman_matrix - np.eye(10))[:, 1:3]
-    found = {(model.names_[i], j) for i, j in np.argwhere(change)}
+    nonzero = {(model.names_[i], j) for i, j in np.argwhere(change)}
     # Constants and y come with it: scaling moves the middle of each channel.
-    assert {("x1", 0), ("x2^2", 0), ("x2", 1), ("u1", 1)} <= found
-    assert found <= {("1", 0), ("x1", 0), ("x2", 0), ("x2^2", 0), ("1", 1), ("x2", 1), ("u1", 1)}
+    assert {("x1", 0), ("x2^2", 0), ("x2", 1), ("u1", 1)} <= nonzero
+    assert nonzero <= {("1", 0), ("x1", 0), ("x2", 0), ("x2^2", 0), ("1", 1), ("x2", 1), ("u1", 1)}
     assert np.abs(model.predict(recording) - x).max() <= 1e-10
 
 

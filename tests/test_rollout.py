@@ -123,7 +123,7 @@ def test_inside_the_data_both_extrapolations_are_the_same_bits(dictionary, predi
     # Well inside, so that the points between the samples are too.
     room = 0.2 * (hull.high - hull.low)[:, 0] / 2
     inside = np.all((t > hull.low[:, 0] - room) & (t < hull.high[:, 0] + room), axis=(1, 2))
-    # An abandoned neighbour changes no one else, but products of matrices of another width may round otherwise: compare one by one.
+    # An abandoned neighbour changes nobody else; but wider products may round otherwise, so compare one by one.
     assert inside.sum() >= 80
     for i in np.flatnonzero(inside)[:5]:
         one = [m.simulate(windows.states[i, 0], windows.inputs[i]) for m in (linear, functions)]
@@ -206,6 +206,6 @@ def test_beyond_the_hull_a_model_follows_the_linear_one_of_its_data(columns, tor
     change = koopman.koopman_matrix(
         tras.Monomials(1).fit(np.zeros(4), np.zeros(2)), model.channels_.scaled(torque_data)
     )[0] - np.eye(7)
-    wanted = outward_rates(change, 4, model.dt_, 4)
-    assert np.allclose(model.outward_, wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
+    exact = outward_rates(change, 4, model.dt_, 4)
+    assert np.allclose(model.outward_, exact, rtol=1e-9, atol=1e-9 * np.abs(exact).max())
     assert np.array_equal(model.outward_step_, over_a_sample(model.outward_, model.dt_))

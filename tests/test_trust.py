@@ -14,7 +14,7 @@ from tras import metrics
 from tras.regularization import STRENGTHS
 
 TORQUES, REFERENCES = ["u_phi", "u_psi"], ["phi_ref", "psi_ref"]
-# Free runs are shorter here to save time; TRAS_FREE_RUN=500 runs all of it (done: the largest state is 5.1 half-ranges).
+# Free runs are shorter here to save time; TRAS_FREE_RUN=500 runs all of it (the largest state was 5.1 half-ranges).
 FREE_RUN = {"u_phi": 100, "phi_ref": 50}
 SHIPPED = {
     "Mechanical": tras.Mechanical(),
@@ -48,7 +48,7 @@ def torque_data(experiment):
     return experiment.select(inputs=TORQUES)
 
 
-# ------------------------------------------------------------------------------------------------------------- on the twin rotor
+# -------------------------------------------------------------------------------- on the twin rotor
 
 
 @pytest.mark.parametrize("inputs", [TORQUES, REFERENCES], ids=["torque", "reference"])
@@ -57,8 +57,8 @@ def torque_data(experiment):
 def test_every_shipped_dictionary_gives_a_model_that_stays(name, inputs, train, fresh):
     """No window of 6 s diverges, a free run stays bounded, errors are of the order of percent at most.
 
-    NRMSE in percent (pitch, yaw), measured. Torque: Mechanical 0.0012, 0.0057; Product 1.5, 3.4; Union 2.1, 3.5; ThinPlate 2.5, 4.6;
-    Monomials 2.9, 4.4; the others below 3 and 6.1. Reference: all below 0.5 and 1.2.
+    NRMSE in percent (pitch, yaw), measured. Torque: Mechanical 0.0012, 0.0057; Product 1.5, 3.4; Union 2.1, 3.5;
+    ThinPlate 2.5, 4.6; Monomials 2.9, 4.4; the others below 3 and 6.1. Reference: all below 0.5 and 1.2.
     """
     recording = fresh.select(inputs=inputs)
     windows = recording.cut(601)
@@ -75,7 +75,7 @@ def test_every_shipped_dictionary_gives_a_model_that_stays(name, inputs, train, 
     assert tuple(model.errors_) == STRENGTHS and model.strength_ == min(model.errors_, key=model.errors_.get)
 
 
-# -------------------------------------------------------------------------------------------------------------- noise, parameters
+# -------------------------------------------------------------------------------- noise, parameters
 
 PAIRS = [("phi", "phidot"), ("psi", "psidot")]
 
@@ -87,11 +87,12 @@ def whole():
 
 def parameter_errors(model, recording):
     """Relative, of the eight lumped parameters."""
-    found = tras.lumped_parameters(model, recording)
+    lumped = tras.lumped_parameters(model, recording)
     true = tras.PlantParameters().as_dict()
-    return np.abs([found[name] / true[name] - 1 for name in found.index])
+    return np.abs([lumped[name] / true[name] - 1 for name in lumped.index])
 
 
+@pytest.mark.slow
 def test_parameters_come_back_from_clean_data(whole, train):
     model = tras.KoopmanModel(tras.Mechanical(6)).fit(train.select(inputs=TORQUES))
     errors = parameter_errors(model, whole)
@@ -100,7 +101,7 @@ def test_parameters_come_back_from_clean_data(whole, train):
 
 @pytest.mark.slow
 def test_one_percent_of_noise_is_taken_out(whole, fresh):
-    """Smoothed, then refined: measured on three seeds 0.03 to 0.05 % (yaw), 0.02 to 0.03 % (pitch), parameters 0.5 to 1.2 % off."""
+    """Smoothed, then refined: three seeds gave 0.03-0.05 % (yaw), 0.02-0.03 % (pitch), parameters 0.5-1.2 % off."""
     noisy = tras.add_noise(whole, 0.01, 0)
     smoothed = tras.smooth(noisy, PAIRS)
     first = tras.KoopmanModel(tras.Mechanical(6)).fit(smoothed.cut(501))
@@ -117,7 +118,7 @@ def test_one_percent_of_noise_is_taken_out(whole, fresh):
     assert parameter_errors(refined, smoothed).max() <= 0.05
 
 
-# --------------------------------------------------------------------------------------------------------------------- strength
+# ----------------------------------------------------------------------------------------- strength
 
 
 def test_automatic_strength_is_that_of_the_best_roll_outs(torque_data):
@@ -143,7 +144,7 @@ def test_too_little_to_hold_out_is_plain_least_squares():
     assert model.strength_ == 0 and not hasattr(model, "errors_")
 
 
-# ------------------------------------------------------------------------------------------------------------------ partial_fit
+# -------------------------------------------------------------------------------------- partial_fit
 
 
 @pytest.fixture(scope="module")
@@ -213,7 +214,7 @@ def test_partial_fit_refuses_what_it_cannot(halves, tmp_path):
         tras.KoopmanModel(tras.Monomials(1)).fit(halves[0]).partial_fit(other)
 
 
-# ---------------------------------------------------------------------------------------------------- dependent functions and channels
+# ----------------------------------------------------------------- dependent functions and channels
 
 
 def repeated():
@@ -228,7 +229,7 @@ def test_dependent_functions_give_a_working_model_by_default_and_a_reason_withou
     assert len(model.names_) == 15 and model.rank_ == 11 and model.strength_ > 0 and np.isinf(model.errors_[0.0])
     assert not metrics.diverged(torque_data.states, model.predict(torque_data)).any()
     assert model.score(torque_data) > -15 and "numerical rank 11" in model.report()
-    # As good as without the repetition, which regularisation sees only as another weight.
+    # As good as without the repetition, which regularization sees only as another weight.
     once = tras.KoopmanModel(tras.GaussianRBF(centres=repeated().centres[::2]), predictor).fit(torque_data)
     assert model.score(torque_data) == pytest.approx(once.score(torque_data), rel=0.2)
     with pytest.raises(
@@ -261,7 +262,7 @@ def test_collinear_channels_are_named(regularization, torque_data):
 
 @pytest.mark.parametrize("regularization", ["shrink", None])
 def test_fewer_pairs_than_functions(regularization):
-    """Without regularisation a reason; with it a model, whose rank says what the data hold."""
+    """Without regularization a reason; with it a model, whose rank says what the data hold."""
     few = linear_system([[0, 1], [-2, -0.5]], [[0], [1]], 0.1, trajectories=1, samples=16)[0]
     if regularization is None:
         with pytest.raises(
@@ -273,7 +274,7 @@ def test_fewer_pairs_than_functions(regularization):
         assert model.rank_ <= 15 < len(model.names_) and np.isfinite(model.predict(few)).all()
 
 
-# -------------------------------------------------------------------------------------------------- systems with known equations
+# --------------------------------------------------------------------- systems with known equations
 
 
 def van_der_pol(x, u):
@@ -288,6 +289,7 @@ def slow_manifold(x, u):
     return [-0.05 * x[0], -(x[1] - x[0] ** 2)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "field, n, size, degree, limit",
     [
@@ -299,11 +301,11 @@ def slow_manifold(x, u):
     ],
 )
 def test_vector_fields_of_known_systems_are_recovered(field, n, size, degree, limit):
-    """Relative error of each state's rate (root mean square) at fresh points, 60 trajectories of 11 samples at 0.01 s, defaults otherwise.
+    """Relative error of each state's rate (RMS) at fresh points, 60 trajectories of 11 samples at 0.01 s, all defaults.
 
-    Measured: Van der Pol 1e-9 and 4e-5 with degree 3, 8e-11 and 5e-9 with degree 5; Lorenz 7e-6, 8e-4, 5e-3 with degree 2 and
-    6e-7, 8e-6, 4e-5 with degree 3; slow manifold, whose eigenfunctions degree 2 holds, 4e-14. The lifting method of A. Mauroy and
-    J. Goncalves (IEEE Trans. Autom. Control 65, 2020, 2550) is usually quoted with errors of the order of a percent.
+    Measured: Van der Pol 1e-9, 4e-5 with degree 3, 8e-11, 5e-9 with degree 5; Lorenz 7e-6, 8e-4, 5e-3 with degree 2,
+    6e-7, 8e-6, 4e-5 with degree 3; slow manifold, whose eigenfunctions degree 2 holds, 4e-14. The lifting method of
+    A. Mauroy and J. Goncalves (IEEE Trans. Autom. Control 65, 2020, 2550) is quoted with errors of about a percent.
     """
     recording = ode_recording(field, 0.01, n=n, size=size, trajectories=60, samples=11)
     x = np.random.default_rng(5).uniform(-0.9 * size, 0.9 * size, (200, n))

@@ -1,4 +1,4 @@
-"""``make bench``: this package beside the field's, on the same data, with the same functions. See ``benchmarks/README.md``.
+"""``make bench``: this package beside the field's, with the same data and functions (``benchmarks/README.md``).
 
 make bench                                                                whole, an hour, more on a busy machine
 make bench BENCH="--peers deeptime --pairs 50000 --functions 84"          a part: printed, not published
@@ -70,7 +70,8 @@ def checked(p, options):
     for functions in options.functions or []:
         if functions not in measure.data.DEGREES and functions <= measure.data.HEAD + 3:
             p.error(
-                f"--functions {functions}: give {', '.join(map(str, measure.data.DEGREES))} (monomials) or more than 10 (Gaussians)."
+                f"--functions {functions}: give {', '.join(map(str, measure.data.DEGREES))} (monomials) "
+                "or more than 10 (Gaussians)."
             )
     for name in ("memory", "seconds", "budget", "runs"):
         if not getattr(options, name) > 0:

@@ -1,4 +1,4 @@
-"""A child process with a memory and a time limit, asked one request after the other: JSON lines over its standard input and output."""
+"""A child process with limits of memory and time; one request after the other, JSON lines over stdin and stdout."""
 
 import contextlib
 import json
@@ -14,7 +14,7 @@ STALL = 4  # wall-clock seconds a CPU second of the limit
 
 
 class Failed(Exception):
-    """A child has no answer; the text says why, in words for a table: "out of memory", "over the time limit", or its last words."""
+    """A child has no answer; the text is for a table: "out of memory", "over the time limit", or its last words."""
 
 
 class Child:

@@ -1,4 +1,4 @@
-"""The data of the comparison: the paper's experiment, driven by torques, with several seeds; and the functions; as a folder of plain arrays.
+"""The data of the comparison: the paper's experiment, driven by torques, several seeds; as a folder of plain arrays.
 
 The folder's form is told in `benchmarks/peers/problem.py`, which every environment reads it with.
 """
@@ -38,16 +38,16 @@ def experiment(seed, samples=SAMPLES):
 
 
 def trajectories(count, samples=SAMPLES, first=1):
-    """So many trajectories, of one experiment after the other; beyond `DIFFERENT` of them the same come again, which only costs ask for."""
-    parts, found = [], 0
-    while found < count:
+    """That many trajectories; after `DIFFERENT` of them the same ones come again, which costs no simulation."""
+    parts, total = [], 0
+    while total < count:
         parts.append(parts[-DIFFERENT] if len(parts) >= DIFFERENT else experiment(first + len(parts), samples))
-        found += len(parts[-1][0])
+        total += len(parts[-1][0])
     return tuple(np.concatenate(part)[:count] for part in zip(*parts))
 
 
 def functions(count, width=WIDTH):
-    """What ``problem.json`` says of N functions, and their arrays: monomials where there are so many of a degree, Gaussians otherwise."""
+    """What ``problem.json`` says of N functions, and their arrays: monomials where N fits a degree, else Gaussians."""
     if count in DEGREES:
         words = [
             w for k in range(DEGREES[count] + 1) for w in itertools.combinations_with_replacement(range(CHANNELS), k)
@@ -56,7 +56,7 @@ def functions(count, width=WIDTH):
         return {"kind": "monomials", "degree": DEGREES[count]}, {"exponents": exponents}
     if count <= HEAD:
         raise ValueError(
-            f"functions is {count}; give one of {', '.join(map(str, DEGREES))} (monomials) or more than {HEAD} (Gaussians)."
+            f"functions is {count}; give one of {', '.join(map(str, DEGREES))} (monomials) or above {HEAD} (Gaussians)."
         )
     centres = np.random.default_rng(0).uniform(-1, 1, (count - HEAD, CHANNELS))
     return {"kind": "gaussians", "width": width}, {"centres": centres}

@@ -1,4 +1,4 @@
-"""An environment of its own for each peer, from its lock file: ``benchmarks/peers/NAME.in`` -> ``NAME.txt`` -> ``build/bench/venvs/NAME``."""
+"""An environment per peer, from its lock file: ``benchmarks/peers/NAME.txt`` -> ``build/bench/venvs/NAME``."""
 
 import hashlib
 import shutil

@@ -18,10 +18,10 @@ MOST = 8  # rounds of refinement; three serve where our own solver is good to fi
 
 
 def coefficients(folder, cache):
-    """(N, n) of the plain least squares ``psi(y, u) ~ psi(x, u) K``, columns of the states; kept in ``cache`` by the problem's content.
+    """(N, n) of plain least squares ``psi(y, u) ~ psi(x, u) K``, states' columns; ``cache`` keeps it by content.
 
-    The rows are doubles, lifted once; residuals and their products with the rows are summed in double-double arithmetic, the correction is
-    solved in double with our own triangular factor (refinement, as in `tests/solver/test_least_squares.py`, where the arithmetic is verified).
+    The rows are doubles, lifted once; residuals and their products with the rows are summed in double-double, the
+    correction is solved in double with our own triangular factor (`tests/solver/test_least_squares.py` verifies both).
 
     Raises
     ------
@@ -66,7 +66,7 @@ def refined(problem):
             K[columns] += np.eye(problem.n)
             return K
     raise RuntimeError(
-        f"the reference did not converge in {MOST} rounds for {problem.functions} functions: they are too nearly dependent."
+        f"the reference did not converge in {MOST} rounds for {problem.functions} functions: too dependent."
     )
 
 

@@ -27,7 +27,7 @@ VARIANTS = {
 
 @styled()
 def peers_figure(table):
-    """Fit time and memory against the number of functions, a column a number of pairs, and below the error of the coefficients and the roll-outs.
+    """Time and memory of a fit against the number of functions, one column per number of pairs; below, the errors.
 
     Parameters
     ----------
@@ -96,9 +96,9 @@ def growth_figure(table, fitted):
             ]
             text = variant.replace("_", " ")
             if len(slope):
-                found = slope.iloc[0]
-                half = (found["high"] - found["low"]) / 2
-                text += f": exponent {found['exponent']:.2f}" + ("" if np.isnan(half) else f" ± {half:.2f}")
+                exponent = slope.iloc[0]
+                half = (exponent["high"] - exponent["low"]) / 2
+                text += f": exponent {exponent['exponent']:.2f}" + ("" if np.isnan(half) else f" ± {half:.2f}")
             panel.plot(rows[against], rows[column], marker=marker, color=colour, linestyle=line, label=text)
         if len(part):
             _theory(

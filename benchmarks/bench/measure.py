@@ -1,4 +1,4 @@
-"""Measuring: a method and a reference in turn, each in a child of its own, so that every ratio is one of the same minutes of the same machine."""
+"""Measuring: a method and a reference in turn, each in its own child, so that ratios are of the same minutes."""
 
 import functools
 import hashlib
@@ -76,7 +76,7 @@ class Bench:
         return Child(command, self.folder / "logs" / f"{method.name}.log", limits.memory, limits.seconds, THREADS)
 
     def reference(self, method, problem):
-        """A child of the method for this problem, kept until another problem comes. Its fit is made once, so that it can roll out."""
+        """A child of the method for this problem, until another problem comes. It is fitted once, for roll-outs."""
         if self._references.get(method.name, (None,))[0] != problem:
             child = self._stack.enter_context(
                 self.child(method, problem, self.limits._replace(seconds=10 * self.limits.seconds))
@@ -102,7 +102,7 @@ class Bench:
 
 
 def measured(bench, method, problem, with_exact=False, rolled=False, compared=True, fits=None):
-    """Rows of a fit and, if ``rolled`` and if the method has one, of a roll-out with what was fitted: ``{"fit": row, "roll-out": row}``.
+    """Rows of a fit and, if ``rolled`` and if the method has one, of a roll-out: ``{"fit": row, "roll-out": row}``.
 
     Parameters
     ----------
@@ -196,16 +196,16 @@ def loop(bench, problem):
 
 def summary(runs, references):
     """Medians over the runs, of times and of the ratios of each run to its reference."""
-    found = {"runs": len(runs)}
+    medians = {"runs": len(runs)}
     if not runs:
-        return found
+        return medians
     for kind in ("cpu", "wall"):
-        found[f"{kind}_s"] = statistics.median(run[kind] for run in runs)
+        medians[f"{kind}_s"] = statistics.median(run[kind] for run in runs)
         ratios = [run[kind] / other[kind] for run, other in zip(runs, references) if other[kind] > 0]
-        found[f"{kind}_ratio"] = statistics.median(ratios) if ratios else None
-    found["cpu_least_s"], found["cpu_most_s"] = min(run["cpu"] for run in runs), max(run["cpu"] for run in runs)
-    found["peak_mib"] = max(run["peak"] for run in runs) / 2**20
-    return found
+        medians[f"{kind}_ratio"] = statistics.median(ratios) if ratios else None
+    medians["cpu_least_s"], medians["cpu_most_s"] = min(run["cpu"] for run in runs), max(run["cpu"] for run in runs)
+    medians["peak_mib"] = max(run["peak"] for run in runs) / 2**20
+    return medians
 
 
 def hopeless(rows, method, pairs, functions):
@@ -222,7 +222,7 @@ def hopeless(rows, method, pairs, functions):
 
 
 def compare(bench, methods, cells, rolled, say, exact_up_to=50_000 * 1006):
-    """Rows of all fits and roll-outs: for each cell (pairs, functions) each method, roll-outs where ``rolled`` holds the functions.
+    """Rows per cell (pairs, functions) and method: its fit, and its roll-out where ``rolled`` holds the functions.
 
     Parameters
     ----------
@@ -242,12 +242,13 @@ def compare(bench, methods, cells, rolled, say, exact_up_to=50_000 * 1006):
             if method.variant in ROLLED_ONLY and not rolls:
                 continue
             reason = bench.missing.get(method.environment) or hopeless(rows, method, pairs, functions)
-            found = {"fit": {"outcome": reason, "runs": 0}}
+            measurement = {"fit": {"outcome": reason, "runs": 0}}
             if not reason:
                 options = {"with_exact": pairs * functions <= exact_up_to, "rolled": rolls}
                 lock = ROOT / f"benchmarks/peers/{method.environment}.txt" if method.environment else None
-                key = f"{method.name.replace(', ', '-').replace(' ', '-')}-{pairs}-{functions}-{fingerprint(lock)}-{digest(bench.limits, options)}"
-                found = bench.cached(
+                slug = method.name.replace(", ", "-").replace(" ", "-")
+                key = f"{slug}-{pairs}-{functions}-{fingerprint(lock)}-{digest(bench.limits, options)}"
+                measurement = bench.cached(
                     key,
                     lambda method=method, options=options, problem=problem: measured(
                         bench, method, problem(), **options
@@ -255,7 +256,7 @@ def compare(bench, methods, cells, rolled, say, exact_up_to=50_000 * 1006):
                 )
             rows += [
                 {"what": what, "method": method.name, "pairs": pairs, "functions": functions} | row
-                for what, row in found.items()
+                for what, row in measurement.items()
             ]
         bench.forget_references()
     return rows
@@ -292,8 +293,8 @@ def grow(bench, say, against=GROWTH):
                         bench, variants[variant], problem, rolled=rolled, compared=False, fits=1 if rolled else None
                     )
 
-                found = bench.cached(key, measure)
-                row = found.get("roll-out" if variable == "trajectories" else "fit", found["fit"])
+                measurement = bench.cached(key, measure)
+                row = measurement.get("roll-out" if variable == "trajectories" else "fit", measurement["fit"])
                 rows.append(
                     {"against": variable, "variant": variant}
                     | row

@@ -1,4 +1,4 @@
-"""Tables and figures of what was measured: ``benchmarks/results/``, and the tables of ``benchmarks/README.md`` between their markers."""
+"""Tables and figures of the measurements: ``benchmarks/results/``, and the tables in ``benchmarks/README.md``."""
 
 import platform
 from pathlib import Path
@@ -38,10 +38,10 @@ def exponent(x, y, level=0.95):
     x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     if not ((x > 0).all() and (y > 0).all()):
         raise ValueError("x and y must be positive: an exponent is a slope of logarithms.")
-    kept = x >= x.max() / LAST * (1 - 1e-9) if len(x) else np.zeros(0, dtype=bool)
-    if len(np.unique(x[kept])) < 2:
-        raise ValueError(f"{kept.sum()} points in the last decade of x; give at least two different ones.")
-    u, v, points = np.log(x[kept]), np.log(y[kept]), int(kept.sum())
+    large = x >= x.max() / LAST * (1 - 1e-9) if len(x) else np.zeros(0, dtype=bool)
+    if len(np.unique(x[large])) < 2:
+        raise ValueError(f"{large.sum()} points in the last decade of x; give at least two different ones.")
+    u, v, points = np.log(x[large]), np.log(y[large]), int(large.sum())
     u, v = u - u.mean(), v - v.mean()
     slope = u @ v / (u @ u)
     deviation = np.sqrt(np.sum((v - slope * u) ** 2) / (points - 2) / (u @ u)) if points > 2 else np.nan
@@ -50,7 +50,7 @@ def exponent(x, y, level=0.95):
 
 
 def exponents(grown):
-    """Table of fitted exponents beside the theory: one row a quantity, what it grows with, and variant; none of what has fewer than two points."""
+    """Table of fitted exponents beside the theory; one row per quantity, abscissa and variant that has two points."""
     rows = []
     good = grown[grown["outcome"].fillna("") == ""]
     for (against, variant), part in good.groupby(["against", "variant"], sort=False):
@@ -121,10 +121,12 @@ def comparison(table):
             + _over_the_floor(part)
         )
     for pairs, part in fits.groupby("pairs"):
-        head = f"**Memory of a fit, {_thousands(pairs)} pairs**: MiB at the peak, beyond what interpreter, libraries and the data take."
+        extent = "MiB at the peak, beyond what interpreter, libraries and the data take"
+        head = f"**Memory of a fit, {_thousands(pairs)} pairs**: {extent}."
         parts.append(f"{head}\n\n{_grid(part, _memory)}")
     for pairs, part in fits[fits["error"].notna()].groupby("pairs") if "error" in fits else []:
-        head = f"**Error of the coefficients, {_thousands(pairs)} pairs**: largest, over the largest of its column, against extended precision."
+        scale = "largest, over the largest of its column, against extended precision"
+        head = f"**Error of the coefficients, {_thousands(pairs)} pairs**: {scale}."
         parts.append(f"{head}\n\n{_grid(part, _error)}")
     if len(rolls):
         parts.append(
@@ -190,8 +192,8 @@ def _grid(part, cell):
     counts = sorted(part["functions"].unique())
     rows = []
     for method in part["method"].unique():
-        found = part[part["method"] == method].set_index("functions")
-        cells = [cell(found.loc[count]) if count in found.index else "" for count in counts]
+        by_count = part[part["method"] == method].set_index("functions")
+        cells = [cell(by_count.loc[count]) if count in by_count.index else "" for count in counts]
         if any(cells):
             rows.append([method, *cells])
     return _markdown(["method", *(f"N = {count}" for count in counts)], rows)
@@ -223,8 +225,8 @@ def _over_the_floor(part):
         if "cpu_ratio" in part
         else part[:0]
     )
-    found = [f"{1 / row['cpu_ratio']:.2f} at N = {row['functions']}" for _, row in floor.iterrows()]
-    return f"\n\nOurs over the floor: {', '.join(found)}." if found else ""
+    ratios = [f"{1 / row['cpu_ratio']:.2f} at N = {row['functions']}" for _, row in floor.iterrows()]
+    return f"\n\nOurs over the floor: {', '.join(ratios)}." if ratios else ""
 
 
 def _memory(row):

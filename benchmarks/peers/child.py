@@ -1,4 +1,4 @@
-"""One way of fitting, in a process of its own: ``python child.py ADAPTER FOLDER``, then one request a line on the standard input.
+"""One way of fitting in its own process: ``python child.py ADAPTER FOLDER``, then one request per line of stdin.
 
 An adapter is a module beside this file that runs in the environment of the package it calls:
 
@@ -11,10 +11,10 @@ An adapter is a module beside this file that runs in the environment of the pack
 ``matrix(problem, model) -> (features, targets)``
     ``targets = features @ matrix`` one sample later; target j is feature j. None if its functions are others.
 ``roll_out(problem, model) -> (runs, samples, n)``
-    Timed; None if there is none. From ``problem.x0`` under ``problem.u``, beginning with ``x0``; if the package's way of it needs another fit, that is made in
-    ``prepare_roll_out(problem, data, model) -> model``, not timed.
+    Timed; None if there is none. From ``problem.x0`` under ``problem.u``, beginning with ``x0``. If the package
+    needs another fit for it: ``prepare_roll_out(problem, data, model) -> model``, not timed.
 
-``NOTE`` says what was timed, ``HOW`` how it rolls out. Requests and replies are JSON; whatever a package prints goes to the standard error.
+``NOTE`` says what was timed, ``HOW`` how it rolls out. Requests and replies are JSON; stderr has what a package prints.
 """
 
 import copy
@@ -113,7 +113,7 @@ class Session:
 
 
 def warm_up(adapter, problem):
-    """A small fit of the same kind, so that what is imported or compiled on first use counts neither as time nor as memory."""
+    """A small fit of the same kind: imports and compilation on first use then count neither as time nor as memory."""
     small = copy.copy(problem)
     small.states, small.inputs = problem.states[:2], problem.inputs[:2]
     if problem.kind == "monomials":

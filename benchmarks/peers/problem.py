@@ -1,7 +1,7 @@
 """What is measured, as a folder of plain arrays that any environment with NumPy can read: data, functions, roll-outs.
 
 ``problem.json``
-    ``kind`` ("monomials" or "gaussians"), ``degree``, ``width``, ``functions`` (N), ``states`` and ``inputs`` (paths of the data).
+    ``kind`` ("monomials" or "gaussians"), ``degree``, ``width``, ``functions`` (N); paths: ``states``, ``inputs``.
 ``states.npy`` (trajectories, samples, n), ``inputs.npy`` (trajectories, samples, m)
     In channels scaled to [-1, 1].
 ``exponents.npy`` (N, n + m) or ``centres.npy`` (centres, n + m)
@@ -50,18 +50,18 @@ def lift(problem, z):
         tail -= (z**2).sum(axis=1)[:, None] / problem.width**2
         np.exp(tail, out=tail)
         return psi
-    place = {tuple(row): j for j, row in enumerate(problem.exponents)}
+    row_of = {tuple(row): j for j, row in enumerate(problem.exponents)}
     for j, row in enumerate(problem.exponents):
         if row.sum() > 1:  # a shorter monomial, which comes before it, times one channel
             channel = np.flatnonzero(row)[0]
             shorter = row.copy()
             shorter[channel] -= 1
-            np.multiply(psi[:, place[tuple(shorter)]], z[:, channel], out=psi[:, j])
+            np.multiply(psi[:, row_of[tuple(shorter)]], z[:, channel], out=psi[:, j])
     return psi
 
 
 def match(columns, values):
-    """Where each function stands in a package's order: ``columns`` (points, features) hold ``values[:, j]`` in column ``match[j]``.
+    """Each function's place in a package's order: ``columns`` (points, features) has ``values[:, j]`` at ``match[j]``.
 
     Raises
     ------

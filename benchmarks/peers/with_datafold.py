@@ -1,6 +1,6 @@
-"""datafold: `EDMD` with its own dictionaries on snapshot pairs (`TSCDataFrame.from_shift_matrices`). The state is (x, u), the input held.
+"""datafold: `EDMD`, its own dictionaries, `TSCDataFrame.from_shift_matrices`. The state is (x, u), the input held.
 
-Its prediction with inputs is another model, `DMDControl`: functions of x, linear in u; that one is fitted for the roll-out.
+For roll-outs another model is fitted, `DMDControl`: functions of x, linear in u.
 """
 
 from importlib.metadata import version
@@ -21,12 +21,12 @@ HOW = "linear, states lifted once, u linear (EDMD with DMDControl, predict)"
 class Gaussians(TSCRadialBasis):
     """With its centres from the start: a column transformer cannot hand them to ``fit``."""
 
-    def __init__(self, kernel, given):
+    def __init__(self, kernel, rows):
         super().__init__(kernel, center_type="fit_params")
-        self.given = given
+        self.rows = rows
 
     def fit(self, X, y=None, **options):
-        return super().fit(X, y, centers=self.given)
+        return super().fit(X, y, centers=self.rows)
 
 
 def names(problem):

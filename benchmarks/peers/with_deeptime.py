@@ -42,8 +42,8 @@ def prepare_roll_out(problem, data, model):
 
 def roll_out(problem, prepared):
     model, states = prepared
-    found = [problem.x0]
+    trajectory = [problem.x0]
     for u in problem.u.transpose(1, 0, 2)[:-1]:
-        psi = model.instantaneous_obs(np.hstack([found[-1], u]))
-        found.append((psi @ model.operator)[:, states])
-    return np.stack(found, axis=1)
+        psi = model.instantaneous_obs(np.hstack([trajectory[-1], u]))
+        trajectory.append((psi @ model.operator)[:, states])
+    return np.stack(trajectory, axis=1)

@@ -1,6 +1,6 @@
-"""kooplearn: `Ridge` without ridge on scikit-learn features, as its documentation does EDMD. The state is (x, u), the input held.
+"""kooplearn: `Ridge` without ridge on scikit-learn features, as documented for EDMD. The state is (x, u), u held.
 
-It takes one trajectory and pairs samples ``lag_time`` apart; all x stacked on all y, with as many pairs as lag, are the snapshot pairs.
+It pairs samples ``lag_time`` apart of one trajectory: all x stacked on all y, with a lag of the number of pairs.
 """
 
 import warnings
@@ -25,8 +25,8 @@ def load(problem):
 
 
 def fit(problem, data):
-    own = PolynomialFeatures(problem.degree) if problem.kind == "monomials" else None
-    lift = own or FunctionTransformer(lambda z: problems.lift(problem, z))
+    polynomials = PolynomialFeatures(problem.degree) if problem.kind == "monomials" else None
+    lift = polynomials or FunctionTransformer(lambda z: problems.lift(problem, z))
     return make_pipeline(lift, Ridge(alpha=None, reduced_rank=False, lag_time=len(data) // 2)).fit(data)
 
 
@@ -41,7 +41,7 @@ def matrix(problem, model):
 def roll_out(problem, model):
     warnings.simplefilter("ignore")
     states = problems.match(features(problem, model, problem.points), problem.values)[1 : 1 + problem.n]
-    found = [problem.x0]
+    trajectory = [problem.x0]
     for u in problem.u.transpose(1, 0, 2)[:-1]:
-        found.append(model.predict(np.hstack([found[-1], u]))[:, states])
-    return np.stack(found, axis=1)
+        trajectory.append(model.predict(np.hstack([trajectory[-1], u]))[:, states])
+    return np.stack(trajectory, axis=1)

@@ -1,4 +1,4 @@
-"""PyDMD: `DMD` of lifted rows. Its own EDMD is a kernel method, with a matrix of pairs by pairs, and cannot take given functions."""
+"""PyDMD: `DMD` of lifted rows. Its EDMD is a kernel method (a matrix of pairs by pairs) without functions to choose."""
 
 from importlib.metadata import version
 
@@ -28,8 +28,8 @@ def matrix(problem, model):
 
 
 def roll_out(problem, model):
-    found = [problem.x0]
+    states = [problem.x0]
     for u in problem.u.transpose(1, 0, 2)[:-1]:
-        psi = problems.lift(problem, np.hstack([found[-1], u])).T
-        found.append(model.predict(psi).real[1 : 1 + problem.n].T)
-    return np.stack(found, axis=1)
+        psi = problems.lift(problem, np.hstack([states[-1], u])).T
+        states.append(model.predict(psi).real[1 : 1 + problem.n].T)
+    return np.stack(states, axis=1)

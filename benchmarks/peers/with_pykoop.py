@@ -1,4 +1,4 @@
-"""pykoop: `KoopmanPipeline` with its own lifting functions of (x, u) and `Edmd`. Its targets are the functions of x alone."""
+"""pykoop: `KoopmanPipeline` with its lifting functions of (x, u), and `Edmd`. Targets are the functions of x alone."""
 
 from importlib.metadata import version
 

@@ -1,4 +1,4 @@
-"""pykoopman: `Koopman` with its own observables and `EDMD` on snapshot pairs, ``fit(x, y)``. The state is (x, u), the input held.
+"""pykoopman: `Koopman`, its own observables, `EDMD` on snapshot pairs, ``fit(x, y)``. The state is (x, u), u held.
 
 Its prediction with inputs is another model, `EDMDc`: functions of x, linear in u; that one is fitted for the roll-out.
 """

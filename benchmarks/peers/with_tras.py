@@ -1,4 +1,4 @@
-"""This package, in its own environment. Variants: ``koopman_matrix``, the same on all processors, or the options of a `tras.KoopmanModel`."""
+"""This package in its environment. Variants: ``koopman_matrix``, also on all cores; options of `tras.KoopmanModel`."""
 
 import tras
 from tras import koopman
@@ -18,10 +18,11 @@ def NOTE(problem):
     notes = {
         "koopman_matrix": "lift + fit (tras.koopman.koopman_matrix)",
         "all_processors": "the same by a thread a processor; see the wall-clock seconds",
-        "states_alone": "lift of the first ends + fit of the states' columns alone (KoopmanModel, one_step, no regularisation)",
-        "one_step": "lift + fit + what prediction needs (KoopmanModel, no regularisation)",
-        "vector_field": "lift + fit + logarithm + vector field (KoopmanModel, no regularisation)",
-        "lifted_linear": "lift of x + fit, linear in u (KoopmanModel, no regularisation)",
+        "states_alone": "lift of the first ends + fit of the states' columns alone (KoopmanModel, one_step, "
+        "no regularization)",
+        "one_step": "lift + fit + what prediction needs (KoopmanModel, no regularization)",
+        "vector_field": "lift + fit + logarithm + vector field (KoopmanModel, no regularization)",
+        "lifted_linear": "lift of x + fit, linear in u (KoopmanModel, no regularization)",
         "default": "as default, choice of the strength by roll-outs with it (KoopmanModel)",
     }
     return notes[problem.variant]

@@ -1,4 +1,4 @@
-"""The harness of ``make bench``: limits, ratios, exponents, tables, and what a child measures; without any other package."""
+"""The harness of ``make bench``: limits, ratios, exponents, tables, what a child measures; no other package."""
 
 import json
 import sys
@@ -15,7 +15,7 @@ from benchmarks.bench import children, data, environments, exact, figures, measu
 from benchmarks.bench.children import Child, Failed
 from benchmarks.bench.data import problems
 
-# ------------------------------------------------------------------------------------------------------------------- children
+# ----------------------------------------------------------------------------------------- children
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def test_a_child_that_failed_says_so_and_goes_on(child):
     assert moody.ask({"do": "other"}) == {}
 
 
-# ------------------------------------------------------------------------------------------------------------------- problems
+# ----------------------------------------------------------------------------------------- problems
 
 
 @pytest.fixture(scope="module")
@@ -128,11 +128,11 @@ def test_extended_precision_against_householder(folder):
     problem = problems.read(folder)
     before, after = problems.pairs(problem)
     expected = np.linalg.lstsq(problems.lift(problem, before), after[:, :4], rcond=None)[0]
-    found = exact.refined(problem)
-    assert exact.error(expected, found) < 1e-10
-    wrong = found.copy()
-    wrong[7, 2] += 1e-3 * np.abs(found[:, 2]).max()
-    assert exact.error(wrong, found) == pytest.approx(1e-3)
+    solution = exact.refined(problem)
+    assert exact.error(expected, solution) < 1e-10
+    wrong = solution.copy()
+    wrong[7, 2] += 1e-3 * np.abs(solution[:, 2]).max()
+    assert exact.error(wrong, solution) == pytest.approx(1e-3)
 
 
 def test_a_child_measures_fit_coefficients_and_roll_out(folder, tmp_path):
@@ -156,7 +156,7 @@ def test_a_fit_beyond_the_memory_is_a_result(folder, tmp_path):
     assert rows == {"fit": {"outcome": "out of memory", "runs": 0}}
 
 
-# ------------------------------------------------------------------------------------------------------- times and their growth
+# --------------------------------------------------------------------------- times and their growth
 
 
 @pytest.mark.parametrize("first, runs", [(0.1, 5), (12.0, 5), (12.1, 4), (29.0, 2), (31.0, 1), (500.0, 1)])
@@ -167,13 +167,13 @@ def test_number_of_runs(first, runs):
 def test_ratios_are_of_runs_in_turn():
     runs = [{"cpu": c, "wall": 2 * c, "peak": p * 2**20} for c, p in ((1.0, 5), (8.0, 7), (3.0, 6))]
     others = [{"cpu": c, "wall": c, "peak": 0} for c in (2.0, 4.0, 1.0)]
-    found = measure.summary(runs, others)
-    assert (found["cpu_s"], found["cpu_ratio"], found["wall_ratio"]) == (
+    medians = measure.summary(runs, others)
+    assert (medians["cpu_s"], medians["cpu_ratio"], medians["wall_ratio"]) == (
         3.0,
         2.0,
         4.0,
     )  # the median of ratios, not the ratio of medians (1.5)
-    assert (found["peak_mib"], found["cpu_least_s"], found["cpu_most_s"], found["runs"]) == (7.0, 1.0, 8.0, 3)
+    assert (medians["peak_mib"], medians["cpu_least_s"], medians["cpu_most_s"], medians["runs"]) == (7.0, 1.0, 8.0, 3)
 
 
 def test_a_reference_that_fails_is_not_the_method_that_fails(tmp_path):
@@ -199,8 +199,8 @@ def test_what_was_too_large_is_not_tried_larger():
 
 def test_exponent_of_a_power_law():
     x = np.geomspace(1, 1e3, 10)
-    found = report.exponent(x, 3 * x**1.7)
-    assert found["points"] == 4 and found["exponent"] == pytest.approx(1.7) and found["high"] - found["low"] < 1e-9
+    fit = report.exponent(x, 3 * x**1.7)
+    assert fit["points"] == 4 and fit["exponent"] == pytest.approx(1.7) and fit["high"] - fit["low"] < 1e-9
 
 
 def test_exponent_of_the_last_decade_only():
@@ -224,7 +224,7 @@ def test_exponent_refuses(x, y, words):
         report.exponent(x, y)
 
 
-# ---------------------------------------------------------------------------------------------------------- tables and figures
+# ------------------------------------------------------------------------------- tables and figures
 
 
 COMMON = {"outcome": "", "measured": "2026-01-02T03:04:05+00:00", "version": "1.0", "timed": "lift + fit", "runs": 5}
@@ -358,15 +358,15 @@ def test_figures_show_every_method_and_slope(compared, grown, tmp_path):
     )
 
 
-# ---------------------------------------------------------------------------------------------------- environments, command line
+# ----------------------------------------------------------------------- environments, command line
 
 
 def test_every_peer_is_locked_with_hashes_and_no_address():
     for name in command.PEERS:
         text = (environments.PEERS / f"{name}.txt").read_text()
         pinned = [line for line in text.splitlines() if line and not line.startswith((" ", "#"))]
-        wanted = (environments.PEERS / f"{name}.in").read_text().split()[0]
-        assert any(line.lower().startswith(wanted.lower()) for line in pinned) and "://" not in text
+        requirement = (environments.PEERS / f"{name}.in").read_text().split()[0]
+        assert any(line.lower().startswith(requirement.lower()) for line in pinned) and "://" not in text
         assert all(line.endswith("\\") for line in pinned) and text.count("--hash=sha256:") >= len(pinned)
 
 

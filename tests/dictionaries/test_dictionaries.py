@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from sklearn.base import clone
 
 import tras
+from tras.dictionaries.kinds import KINDS
 
 RNG = np.random.default_rng(0)
 DICTIONARIES = [
@@ -31,6 +32,10 @@ MECHANICAL = [
 ]
 SIZES = [(1, 0), (1, 1), (2, 0), (4, 2)]
 CASES = [(d, n, m) for d in DICTIONARIES for n, m in SIZES] + [(d, 4, m) for d in MECHANICAL for m in (0, 2)]
+
+
+def test_every_kind_is_tried():
+    assert {type(dictionary) for dictionary in [*DICTIONARIES, *MECHANICAL]} == set(KINDS.values())
 
 
 @given(st.integers(1, 4), st.integers(0, 3), st.integers(1, 5))
@@ -91,7 +96,7 @@ def test_gaussians_are_gaussians_at_their_centres():
 
 
 def test_mechanical_spans_the_twin_rotors_own_terms():
-    """Every term of the equations of motion, 1 / J_psi(phi) and all, lies in the span: to 1e-3 at degree 8, 1e-6 at 16."""
+    """Every term of the equations of motion, even 1 / J_psi(phi), is in the span: to 1e-3 at degree 8, 1e-6 at 16."""
     plant = tras.PlantParameters()
     x, u = RNG.uniform(-1.2, 1.2, (3000, 4)), RNG.uniform(-0.1, 0.1, (3000, 2))
     field = tras.vector_field(x, u, plant)
@@ -131,8 +136,8 @@ def test_centres_from_data_lie_in_the_data():
     assert np.abs(means.centres_ - [0.5, 0.5, -0.5]).max() < 0.35
     distances = np.linalg.norm(means.centres_[:, None] - means.centres_, axis=-1)[np.triu_indices(6, 1)]
     assert means.width_ == pytest.approx(np.median(distances))
-    given = tras.GaussianRBF(centres=[[0, 0, 0], [0.5, 0.5, -0.5]]).fit(x, u)
-    assert given.centres_.shape == (2, 3)
+    explicit = tras.GaussianRBF(centres=[[0, 0, 0], [0.5, 0.5, -0.5]]).fit(x, u)
+    assert explicit.centres_.shape == (2, 3)
 
 
 @pytest.mark.parametrize(

@@ -95,6 +95,7 @@ def test_an_impossible_choice_is_answered_in_one_sentence(what):
 # --- what comes of them ---
 
 
+@pytest.mark.slow
 def test_the_papers_choice_has_the_published_numbers():
     """Those of 03_validation, which the notebooks compute on their own way, for the first validation recording."""
     where = "kind == 'window' and input == 'reference' and recording == 'multisine 2'"
@@ -108,6 +109,7 @@ def test_the_papers_choice_has_the_published_numbers():
             assert (a["windows"], a["diverged"]) == (b["windows"], b["diverged"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("state", choice.OPTIONS["state"])
 @pytest.mark.parametrize("predictor", choice.OPTIONS["predictor"])
 @pytest.mark.parametrize("dictionary", choice.SIZES)

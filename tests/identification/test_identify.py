@@ -36,6 +36,7 @@ def identification(log):
 # --- examples ---
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "energy"), [("duffing", lambda q, v: v**2 / 2 + q**2 / 2 + q**4 / 2), ("cart_pole", None)]
 )
@@ -188,6 +189,7 @@ def piece_length(recording):
     return preparation.piece_length(recording, preparation.memory(recording))
 
 
+@pytest.mark.slow
 def test_velocities_are_known_by_their_numbers():
     r = example("cart_pole", trials=2)
     shuffled = r.select(states=["thetadot", "position", "theta", "velocity"])
@@ -224,6 +226,7 @@ def test_the_test_is_apart_from_the_training(lengths):
         preparation.partition(R([np.zeros((30, 1))], None, 0.1))
 
 
+@pytest.mark.slow
 def test_long_recordings_are_smoothed_in_chunks_and_keep_their_length(monkeypatch):
     monkeypatch.setattr(preparation, "_CHUNK", 201)
     r, exact = example("duffing", trials=2), example("duffing", trials=2, noise=0)
@@ -237,6 +240,7 @@ def test_long_recordings_are_smoothed_in_chunks_and_keep_their_length(monkeypatc
 # --- search and scores ---
 
 
+@pytest.mark.slow
 def test_the_search_finds_what_made_the_data(identification, log):
     table = identification.search
     assert (
@@ -384,6 +388,7 @@ def test_too_little_excitation_short_and_unstable():
 # --- files ---
 
 
+@pytest.mark.slow
 def test_files_are_replaced_and_those_of_others_left(identification, log, tmp_path, monkeypatch):
     folder = tmp_path / "out"
     identify_files.write(identification, log, "<script>&.csv", folder)

@@ -253,6 +253,7 @@ def test_the_slopes_of_the_shooting_are_those_of_its_cost(swing):
     assert differences(0, change) == pytest.approx(by_start[1, 2], rel=1e-4)
 
 
+@pytest.mark.slow
 def test_refining_brings_the_field_near_the_truth(swing):
     noisy = tras.add_noise(swing, 0.02, 0)
     model = tras.KoopmanModel(tras.Mechanical(5)).fit(tras.smooth(noisy, [("q", "v")]))
@@ -272,6 +273,7 @@ def test_refining_brings_the_field_near_the_truth(swing):
     assert not hasattr(model, "refinement_") and "refined on whole trajectories" in refined.report()
 
 
+@pytest.mark.slow
 def test_a_bad_first_guess_is_followed_in_shorter_pieces(swing, monkeypatch):
     noisy = tras.add_noise(swing, 0.02, 0)
     model = tras.KoopmanModel(tras.Mechanical(5)).fit(tras.smooth(noisy, [("q", "v")]))

@@ -45,6 +45,7 @@ def same(a, b):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{"chunk": CHUNK}, {}, {"chunk": CHUNK, "parts": 3}])
 def test_the_fit_has_the_bits_of_the_file(path, dataset, options):
     assert same(model().fit(dataset, **options), model().fit(path, **options))

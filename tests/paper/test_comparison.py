@@ -51,16 +51,19 @@ def test_every_case_is_there(results, study):
     assert len(results["data"]) == len(cases) * 2 and len(results["times"]) == len(cases)
 
 
+@pytest.mark.slow
 def test_the_chosen_setting_is_the_best_one(results):
     for _, group in results["tuning"].groupby(["method", "input", "noise", "smoothed", "fraction"]):
         assert group.loc[group["chosen"], "error"].iloc[0] == group["error"].min()
 
 
+@pytest.mark.slow
 def test_the_bound_is_a_bound(results):
     scores = results["scores"].query("input == 'torque' and horizon == 1").groupby("method")["nrmse"].max()
     assert scores.idxmin() == "grey box" and scores["grey box"] < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["DMDc", "NARX", "Koopman, the paper's"])
 def test_validation_is_not_seen(method, study, recordings):
     train, fresh = recordings
@@ -73,6 +76,7 @@ def test_validation_is_not_seen(method, study, recordings):
     assert one["tuning"] == two["tuning"] and one["parameters"] == two["parameters"] and one["scores"] != two["scores"]
 
 
+@pytest.mark.slow
 def test_noise_and_fraction_reach_the_training_data(study, recordings):
     job = {"method": "DMDc", "input": "torque", "noise": 0.0, "smoothed": False, "fraction": 1.0}
     whole, few = (comparison.training(study, job | {"fraction": share}, recordings[0]) for share in (1.0, 0.2))
@@ -142,6 +146,7 @@ def test_a_method_that_cannot_be_fitted_says_why(study, recordings, monkeypatch)
     assert "alpha is -1.0" in comparison.case(study, *recordings, None, job)["failure"]
 
 
+@pytest.mark.slow
 def test_figures_hold_every_method(results):
     horizon = figures_comparison.horizon_table(results["scores"])
     amount = figures_comparison.data_table(results["data"])
@@ -167,6 +172,7 @@ def test_a_table_without_its_columns_is_refused(draw):
         draw(pd.DataFrame({"method": ["a"]}))
 
 
+@pytest.mark.slow
 def test_the_readme_holds_the_table(results, tmp_path, capsys):
     results["scores"].to_csv(tmp_path / "comparison.csv", index=False)
     readme = tmp_path / "README.md"
@@ -196,6 +202,7 @@ def test_lost_predictions_stand_in_the_table():
     assert "| M | 7 | - | 1.5 / 1.5 (1 of 4 diverged) | - / - (4 of 4 diverged) |" in tables.methods_markdown(rows)
 
 
+@pytest.mark.slow
 def test_as_many_windows_as_metrics_count(results):
     assert plotting.WIDTH < figures_comparison.WIDE
     assert (results["scores"]["diverged"] <= results["scores"]["windows"]).all()

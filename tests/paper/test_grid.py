@@ -62,6 +62,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reading, draw", CASES, ids=lambda case: "")
 def test_a_point_is_what_the_public_names_give(computed, reading, draw):
     table = computed[1]

@@ -147,6 +147,7 @@ def closed_loop():
     return recording.select(inputs=["phi_ref", "psi_ref"]).cut(501)
 
 
+@pytest.mark.slow
 def test_degree_4_on_reference_driven_data_within_1e_8_of_extended_precision(closed_loop):
     """K of the model as users fit it, 50 000 pairs, condition 5e8: plain Gram is off by 500 %, LAPACK's QR by 4e-8."""
     model = tras.KoopmanModel(tras.Monomials(4), "one_step", regularization=None).fit(closed_loop)

@@ -132,6 +132,7 @@ def rigs(runs):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("x0", [None, [0.4, -1.0, 0.2, 1.5]])
 @pytest.mark.parametrize("several", [False, True])
 @pytest.mark.parametrize("batch", [1, 40])

@@ -100,6 +100,7 @@ def test_the_printed_plant_says_so_and_the_corrected_one_is_unchanged():
     assert np.abs(printed.states - correct.states).max() > 0.01
 
 
+@pytest.mark.slow
 def test_equations_are_lagranges():
     """The function that simulates, fed with sympy symbols, solves Lagrange's equations derived here from T and V."""
     t, u_phi, u_psi = sympy.symbols("t u_phi u_psi")

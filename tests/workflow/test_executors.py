@@ -60,6 +60,7 @@ def test_every_result_is_given_once_and_in_order_if_asked(anywhere):
     assert list(executors.run(square(), [], (10,), **anywhere)) == []
 
 
+@pytest.mark.slow
 def test_a_killed_worker_costs_time_only(elsewhere, tmp_path):
     assert sorted(executors.run(killing(tmp_path / "marker", 2), JOBS, **elsewhere)) == [(k, k * k) for k in range(6)]
     assert (tmp_path / "marker").exists()

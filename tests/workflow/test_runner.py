@@ -146,6 +146,7 @@ def test_a_missing_or_broken_notebook_is_refused(tmp_path):
 # --- runs ---
 
 
+@pytest.mark.slow
 def test_fail_repair_succeed(tmp_path, capsys):
     """One stage through its life: a cell fails, an output is not written, success, and nothing left of the failures."""
     path = tmp_path / "notebooks" / "01_stage.ipynb"

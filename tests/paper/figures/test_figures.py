@@ -226,6 +226,7 @@ def test_method_diagram_holds_the_three_steps_and_their_equations():
 # ------------------------------------------------------------------------------------------------------------- files
 
 
+@pytest.mark.slow
 def test_saving_twice_gives_the_same_bytes(tmp_path):
     """One figure will do, for this is about `save_figure`; `make verify` compares the bytes of every figure."""
     case = redrawn(paper.overlay_figure, "fig3_overlay")
