@@ -310,6 +310,15 @@ def load_model(path: str | Path) -> KoopmanModel:
         If there is no such file.
     ValueError
         If it is no model, is damaged, or is of a version that this release does not know.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile, tras
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "model.npz"
+    >>> x = 0.9 ** tras.Recording([[[k] for k in range(20)]], dt=0.1).states
+    >>> tras.KoopmanModel(tras.Monomials(1), "one_step").fit(tras.Recording(x, dt=0.1)).save(path)
+    >>> load_model(path).dictionary
+    Monomials(degree=1)
     """
     return model_file.load(path, _restored)
 

@@ -318,7 +318,7 @@ def test_checkpoints_on_the_way_change_no_bit(long_recording, path, tmp_path, mo
 
 
 def test_a_failure_after_the_pass_loses_nothing(path, tmp_path, monkeypatch):
-    """Another strength, or another method of regularisation, goes on from the finished checkpoint."""
+    """Another strength, or another method of regularization, goes on from the finished checkpoint."""
     plain(strength=1.0).fit(path, chunk=CHUNK, checkpoint=tmp_path / "a.npz")
     absorbed = []
     monkeypatch.setattr(fitting.Fit, "absorb", lambda self, rows, threads=None: absorbed.extend(rows))

@@ -119,6 +119,11 @@ class ThinPlate(Radial):
     `GaussianRBF`.
 
     They grow with the distance, so they extrapolate where Gaussians fall to nothing, for better or worse.
+
+    Examples
+    --------
+    >>> ThinPlate(2).fit([[-1.0], [1.0]]).names
+    ['1', 'x1', 'plate1', 'plate2']
     """
 
     _word = "plate"

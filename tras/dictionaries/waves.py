@@ -16,6 +16,11 @@ class Exponentials(Dictionary):
     rate : float
         Exponent at the edge of the scaled range. Small rates are nearly polynomials and nearly dependent, large ones
         steep.
+
+    Examples
+    --------
+    >>> Exponentials(1).fit([[0.0]], [[0.0]]).names
+    ['1', 'x1', 'u1', 'exp(-x1)', 'exp(-u1)', 'exp(u1)', 'exp(x1)']
     """
 
     def __init__(self, order=1, rate=1.0):
@@ -49,6 +54,11 @@ class Fourier(Dictionary):
     period : float
         In scaled units, in which the data span 2. The default 4 lets functions that are not periodic over the data be
         followed.
+
+    Examples
+    --------
+    >>> Fourier(1).fit([[0.0]], [[0.0]]).names
+    ['1', 'x1', 'u1', 'cos(w u1)', 'cos(w x1)', 'sin(w u1)', 'sin(w x1)']
     """
 
     def __init__(self, order=1, period=4.0):

@@ -28,6 +28,13 @@ def add_noise(recording: Recording, level: ArrayLike, rng: np.random.Generator |
     ------
     ValueError
         If ``level`` is negative, not finite, or neither one number nor one per state, or ``rng`` is no seed.
+
+    Examples
+    --------
+    >>> import tras
+    >>> log = tras.simulate_closed_loop(tras.multisine(20, 0.01, [0.5, 1.2], [1.0, 2.5], 0), 0.01)
+    >>> bool((noise_level(add_noise(log, 0.01, 0)) > 10 * noise_level(log)).all())
+    True
     """
     recording = join(recording)
     fraction = np.asarray(level, dtype=float)

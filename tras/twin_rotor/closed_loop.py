@@ -105,6 +105,13 @@ def simulate_closed_loop(
     ------
     ValueError
         On wrong shapes or values.
+
+    Examples
+    --------
+    >>> import tras
+    >>> log = tras.simulate_closed_loop(tras.multisine(20, 0.01, [0.5, 1.2], [1.0, 2.5], 0), 0.01)
+    >>> log.states.shape, log.input_names
+    ((1, 2001, 4), ('phi_ref', 'psi_ref', 'u_phi', 'u_psi'))
     """
     reference = _references("reference", reference, "(samples, 2)", dimensions=(2,))
     if x0 is not None:

@@ -96,6 +96,12 @@ def steps(duration: float, dt: float, peak, rng, *, shortest=4.0, longest=10.0) 
     """Random levels within ``+-peak``, each for a random time between ``shortest`` and ``longest`` seconds.
 
     Channels change independently. Parameters and result as for `multisine`.
+
+    Examples
+    --------
+    >>> import tras
+    >>> tras.steps(20, 0.01, [0.5, 1.0], 0).shape
+    (2001, 2)
     """
     samples, rng = grid(duration, dt), _generator(rng)
     if not 0 < shortest <= longest:
@@ -112,6 +118,12 @@ def chirp(duration: float, dt: float, max_frequency, peak) -> np.ndarray:
     """Sines whose frequency rises linearly from 0 to ``max_frequency`` (rad/s), one per channel, without randomness.
 
     Odd channels are cosines, so that two channels with the same sweep are not the same signal.
+
+    Examples
+    --------
+    >>> import tras
+    >>> tras.chirp(20, 0.01, [1.0, 2.0], [0.5, 1.0]).shape
+    (2001, 2)
     """
     t = np.arange(grid(duration, dt)) * dt
     angle = np.multiply.outer(t**2, np.atleast_1d(max_frequency)) / (2 * duration)

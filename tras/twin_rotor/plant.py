@@ -193,6 +193,13 @@ def vector_field(x, u, parameters: PlantParameters) -> np.ndarray:
     ------
     ValueError
         If the last axis of ``x`` is not 4 or that of ``u`` not 2.
+
+    Examples
+    --------
+    >>> import tras
+    >>> rig = tras.PlantParameters()
+    >>> bool(abs(tras.vector_field(tras.rest_point(rig), [0, 0], rig)).max() < 1e-9)
+    True
     """
     phi, phidot, psi, psidot = np.moveaxis(_array("x", x, 4), -1, 0)
     u_phi, u_psi = np.moveaxis(_array("u", u, 2), -1, 0)
@@ -201,7 +208,16 @@ def vector_field(x, u, parameters: PlantParameters) -> np.ndarray:
 
 
 def jacobian(x, u, parameters: PlantParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Linearisation at (x, u): ``A = dF/dx`` (..., 4, 4) and ``B = dF/du`` (..., 4, 2)."""
+    """Linearisation at (x, u): ``A = dF/dx`` (..., 4, 4) and ``B = dF/du`` (..., 4, 2).
+
+    Examples
+    --------
+    >>> import tras
+    >>> rig = tras.PlantParameters()
+    >>> A, B = tras.jacobian(tras.rest_point(rig), [0, 0], rig)
+    >>> A.shape, B.shape
+    ((4, 4), (4, 2))
+    """
     p = parameters
     phi, phidot, psi, psidot = np.moveaxis(_array("x", x, 4), -1, 0)
     u_psi = _array("u", u, 2)[..., 1]
@@ -232,6 +248,12 @@ def rest_point(parameters: PlantParameters, torques=(0.0, 0.0)) -> np.ndarray:
     ------
     ValueError
         If gravity cannot balance ``u_phi``, or ``u_psi`` is not zero on a rig without a yaw spring.
+
+    Examples
+    --------
+    >>> import tras
+    >>> tras.rest_point(tras.PlantParameters()).round(3)
+    array([-0.491,  0.   ,  0.   ,  0.   ])
     """
     u_phi, u_psi = _array("torques", torques, 2).tolist()
     gravity = math.hypot(parameters.G_c, parameters.G_s)
