@@ -107,7 +107,7 @@ def test_the_command_writes_the_table_and_names_what_is_missing(tmp_path, capsys
     document.write_text("no markers")
     assert pages.main(call) == 2 == pages.main([*call[:2], f"--pages={tmp_path / 'none'}"])
     errors = capsys.readouterr().err
-    assert "paper.md must hold the lines" in errors and "none/docs/paper.md cannot be read" in errors
+    assert "paper.md must hold '<!-- readings" in errors and "none/docs/paper.md cannot be read" in errors
 
 
 def test_the_documentation_holds_the_table():
