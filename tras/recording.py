@@ -41,7 +41,6 @@ class Recording:
     Examples
     --------
     >>> import numpy as np
-
     >>> r = Recording(np.zeros((1, 50001, 4)), np.zeros((1, 50001, 2)), 0.01).cut(501)
     >>> len(r), r.states.shape, r.pairs
     (100, (100, 501, 4), 50000)
