@@ -41,7 +41,7 @@ def _dynamics(model):
         lines += [
             f"distance of the spectrum from the logarithm's branch cut {distance:.3g}; "
             f"exp(log K) misses K by {model.log_residual_:.1e}, relative",
-            f"vector field by {model.field}, {model.substeps_} Runge-Kutta step(s) a sample",
+            f"vector field by {model.field}, {model.substeps_} Runge-Kutta step(s) per sample",
         ]
     if hasattr(model, "field_disagreement_"):
         apart = ", ".join(f"{name} {100 * d:.2g} %" for name, d in zip(model.state_names_, model.field_disagreement_))
