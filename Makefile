@@ -74,7 +74,8 @@ OUTPUTS := $(PAPER_OUTPUTS) $(STUDY_OUTPUTS)
 # --- the environment: its stamp carries the hash of the lock file ----------------------------------------------------------------
 
 PYTHON ?= python3
-LOCKED := $(shell { sha256sum environment.txt || shasum -a 256 environment.txt; } 2>/dev/null | cut -c1-12)
+LOCKS := environment.txt environment-build.txt
+LOCKED := $(shell cat $(LOCKS) 2>/dev/null | { sha256sum || shasum -a 256; } 2>/dev/null | cut -c1-12)
 READY := .venv/.ready-$(LOCKED)
 PY := .venv/bin/python
 
@@ -138,10 +139,10 @@ test: $(READY) ## unit tests, then every notebook of the small profile rerun and
 lab: $(READY) ## open the explorer in JupyterLab, the other notebooks beside it
 	$(PY) -m jupyterlab --ServerApp.root_dir=. $(if $(filter 0,$(shell id -u)),--allow-root) notebooks/explore.ipynb
 
-lock: ## resolve environment.in anew into environment.txt (needs uv; UPGRADE=1 for newer versions)
+lock: ## resolve environment.in, and what builds its sources, anew (needs uv; UPGRADE=1 for newer versions)
 	@command -v uv >/dev/null || { echo "make lock needs uv, which was not found on PATH: python3 -m pip install uv." >&2; exit 1; }
-	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url \
-	  --no-emit-find-links $(if $(UPGRADE),--upgrade) environment.in --output-file environment.txt
+	$(compile) environment.in --output-file environment.txt
+	printf 'setuptools\nwheel\n' | $(compile) --no-annotate --constraint environment.txt - --output-file environment-build.txt
 
 ifeq ($(PROFILE),paper)
 verify: reference/SHA256SUMS $(STAMPS) $(OUTPUTS) ## compare data, models and figures with reference/: bytes, numbers, looks
@@ -182,19 +183,26 @@ distclean: clean ## clean, and .venv too
 # A venv without its interpreter (the system's Python was replaced) is not ready whatever its stamp says. The stamp of the old venv
 # goes first and that of the new one comes last: an interrupted setup never counts.
 $(READY): $(if $(wildcard $(PY)),,FORCE)
-	@test -n "$(LOCKED)" || { echo "environment.txt is missing: restore it from git, or run make lock." >&2; exit 1; }
+	@for lock in $(LOCKS); do test -s $$lock || { echo "$$lock is missing: restore it from git, or run make lock." >&2; exit 1; }; done
 	@$(check_python)
 	@echo "Creating .venv from environment.txt (once; half a minute to a few minutes)"
 	@rm -f .venv/.ready-*; rm -rf .venv
+	@# A package without a wheel is built by the locked setuptools, not by the newest one: hence two steps and no isolation.
 	@if command -v uv >/dev/null; then \
 	  uv venv --quiet --no-project --python "$(PYTHON)" .venv; \
-	  uv pip install --quiet --python $(PY) --require-hashes -r environment.txt; \
+	  uv pip install --quiet --python $(PY) --require-hashes -r environment-build.txt; \
+	  uv pip install --quiet --python $(PY) --no-build-isolation --require-hashes -r environment.txt; \
 	else \
 	  $(PYTHON) -m venv .venv; \
-	  $(PY) -m pip install --quiet --disable-pip-version-check --require-hashes -r environment.txt; \
+	  for lock in environment-build.txt environment.txt; do \
+	    $(PY) -m pip install --quiet --disable-pip-version-check --no-build-isolation --require-hashes -r $$lock; \
+	  done; \
 	fi
 	@echo '../../../..' > "$$($(PY) -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/tras-checkout.pth"
 	@touch $@
+
+compile = uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url \
+  --no-emit-find-links $(if $(UPGRADE),--upgrade)
 
 define check_python
 command -v "$(PYTHON)" >/dev/null || { \
