@@ -35,6 +35,16 @@ def test_a_repaired_error_would_be_noticed(monkeypatch):
     assert errata.velocity_term()[1] is False
 
 
+def test_every_reference_names_a_later_equation_than_it_uses():
+    assert all(meant < printed <= 18 for _, printed, meant in errata.REFERENCES)
+
+
+def test_masses_in_the_wrong_places_would_be_noticed(monkeypatch):
+    """The check can fail: a plant that gravity does not act on has neither energy."""
+    monkeypatch.setattr(PlantParameters, "energy", lambda self, x: 0.0 * x[:, 0])
+    assert errata.counterweights()[1] is False
+
+
 def test_command_line_writes_between_the_markers(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(errata, "ERRORS", errata.ERRORS[9:11])
     page, (begin, end) = tmp_path / "docs" / "paper.md", pages.markers("errors")

@@ -160,10 +160,63 @@ def six_seconds():
     return text, lasts < 6
 
 
+def additivity():
+    """An operator on observables takes one observable: the sum of two, which (3) splits."""
+    x, (a, b) = np.linspace(-2, 2, 101), (2.0, -3.0)
+
+    def koopman(observable):  # of the flow x -> 0.9 x - 0.1 x^3
+        return observable(0.9 * x - 0.1 * x**3)
+
+    error = float(
+        np.abs(koopman(lambda y: a * np.sin(y) + b * y**2) - a * koopman(np.sin) - b * koopman(np.square)).max()
+    )
+    try:
+        koopman(np.sin, np.square)
+        refused = False
+    except TypeError:
+        refused = True
+    text = f"along a cubic map both sides of (3) differ by {_below(error)} with the plus; a comma gives two observables"
+    return text, error < 1e-12 and refused
+
+
+def size_of_a_pair():
+    """The two rows of a snapshot pair hold a state and an input each."""
+    n, m = 4, 2
+    pair = np.stack([np.concatenate([np.zeros(n), np.zeros(m)])] * 2)
+    text = f"two rows of {n} states and {m} inputs are {pair.size} numbers; as printed there would be {n * m * 2}"
+    return text, pair.size == (n + m) * 2 != n * m * 2
+
+
+def counterweights():
+    """Masses at the two ends of the beam lift with sin phi, a weight below its axis with -cos phi."""
+    masses = PlantParameters().masses()
+    plant, phi = PlantParameters.from_masses(**masses, C_phi=0.0, C_psi=0.0, K_psi=0.0), np.linspace(-1, 1, 101)
+    energy = plant.energy(phi[:, None] * [1, 0, 0, 0])
+
+    def miss(main, tail, below):  # of the potential energy of point masses there, in J
+        ends = (main * masses["l_m"] - tail * masses["l_t"]) * np.sin(phi)
+        return float(np.abs(masses["g"] * (ends - 2 * below * masses["l_cw"] * np.cos(phi)) - energy).max())
+
+    rotors, weight = (masses["m_m"], masses["m_t"]), masses["m_cw"]
+    ours, printed = miss(*rotors, weight), miss(weight, weight, sum(rotors) / 2)
+    text = (
+        f"with m_m and m_t at the ends of the beam and m_cw below it, point masses have the plant's energy to "
+        f"{_below(ours)} J; with m_m and m_t as the counterweights they miss it by up to {printed:.2g} J"
+    )
+    return text, ours < 1e-12 and printed > 0.1
+
+
+# What is quoted, the number printed there, the equation with that content.
+REFERENCES = (
+    ("solving", 12, 10), ("lift every pair in accordance with", 10, 7), ("invert", 6, 5), ("found using", 5, 4),
+    ("the finite equivalent of", 17, 16), ("such that … holds", 18, 17), ("the least-square solution to", 18, 17),
+)  # fmt: skip
+
+
 def references():
-    """What each of (16) to (18) builds on, by its content."""
-    text = "(17) is the finite form of (16), not of (17); the field solves (17), not (18): "
-    return text + "each number is one too high, counted in another paper", None
+    """What each reference builds on, by its content."""
+    listed = "; ".join(f"“{quote}” ({printed}) is ({meant})" for quote, printed, meant in REFERENCES)
+    return f"by their content, {len(REFERENCES)} references name a later equation than they use: {listed}", None
 
 
 # What is printed, what stands here, why, and the computation that shows it.
@@ -186,7 +239,12 @@ ERRORS = (
      "the count", samples),
     ("Fig. 3 “6-second window”, 5 s trajectories", "both: 5 s for fitting, 6 s windows for validation",
      "conflict in the text", six_seconds),
-    ("cross references at (16) to (18)", "shifted by one", "copied numbering", references),
+    ("(3) with a comma, and with K_t", "K^t(λ₁β₁ + λ₂β₂)", "linearity is of a sum; (2) calls the operator K^t",
+     additivity),
+    ("pairs in R^{(n × m) × 2}", "R^{(n + m) × 2}", "dimensions", size_of_a_pair),
+    ("“masses of counter weights at the main rotor and tail rotor” m_m, m_t",
+     "masses of the rotors; m_cw is the counterweight's", "K_g and the inertias", counterweights),
+    ("cross references before (11), (13), (15) and at (16) to (18)", "by content", "copied numbering", references),
 )  # fmt: skip
 
 
