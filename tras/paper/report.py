@@ -17,7 +17,8 @@ from tras.twin_rotor.plant import PlantParameters
 from tras.workflow import files, page
 from tras.workflow.page import escape
 
-_SIGNS = dict(zip(claims.VERDICTS, (("✓", "reproduced"), ("◐", "named"), ("✗", "not"), ("?", "uncheckable"))))
+_MARKS = (("✓", "reproduced"), ("◐", "named"), ("✗", "not"), ("?", "uncheckable"), ("◑", "named"))
+_SIGNS = dict(zip(claims.VERDICTS, _MARKS))
 _ANEW = "delete it, and make all makes it anew."
 
 
