@@ -26,7 +26,7 @@ def checkout(tmp_path_factory):
     if not list((ROOT / ".venv").glob(".ready-*")):
         pytest.skip("make setup has not run")
     folder = tmp_path_factory.mktemp("checkout")
-    for name in ("Makefile", "pyproject.toml", "environment.txt"):
+    for name in ("Makefile", "pyproject.toml", "environment.txt", "environment-build.txt"):
         shutil.copy(ROOT / name, folder)
     for name in ("tras", "notebooks"):
         shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
