@@ -40,7 +40,11 @@ def same(a, b):
     data=st.data(),
 )
 def test_file_round_trip_is_exact(lengths, n, m, data, tmp_path_factory):
-    draw = lambda k, c: np.array(data.draw(st.lists(finite, min_size=k * c, max_size=k * c))).reshape(k, c)  # noqa: E731
+
+    def draw(rows, columns):
+        size = rows * columns
+        return np.array(data.draw(st.lists(finite, min_size=size, max_size=size))).reshape(rows, columns)
+
     recording = tras.Recording(
         [draw(k, n) for k in lengths], [draw(k, m) for k in lengths], data.draw(st.floats(1e-6, 1e6)),
         state_names=[f"q{i}" for i in range(n)], state_units=["rad"] * n,

@@ -57,7 +57,11 @@ def sentences(recording):
     data=st.data(),
 )
 def test_round_trips_are_exact(lengths, n, m, data, tmp_path_factory):
-    draw = lambda k, c: np.array(data.draw(st.lists(finite, min_size=k * c, max_size=k * c))).reshape(k, c)  # noqa: E731
+
+    def draw(rows, columns):
+        size = rows * columns
+        return np.array(data.draw(st.lists(finite, min_size=size, max_size=size))).reshape(rows, columns)
+
     labels = data.draw(st.lists(names, min_size=n + m, max_size=n + m, unique=True))
     unit = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=5)
     labels = {"state_names": labels[:n], "input_names": labels[n:], "state_units": [data.draw(unit) for _ in range(n)]}

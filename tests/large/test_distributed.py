@@ -121,7 +121,8 @@ def test_workers_with_other_versions_are_named(paths, cluster):
     def pretend(version):
         import numpy
 
-        import tras.large.distributed  # noqa: F401  # a worker that was just restarted would look at numpy's version while it imports
+        # A worker that was just restarted would look at numpy's version while it imports.
+        import tras.large.distributed  # noqa: F401
 
         was, numpy.__version__ = numpy.__version__, version
         return was

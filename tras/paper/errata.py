@@ -228,7 +228,7 @@ ERRORS = (
     ("“φ azimuth, ψ pitch”, “yaw angle (φ), pitch angle (ψ)”", "φ is pitch, ψ is yaw", "gravity and cos² act on φ",
      names_of_angles),
     ("x = [φ φ ψ ψ]", "[φ φ̇ ψ ψ̇]", "lost dots", lost_dots),
-    ("BFR (20) without “1 −”", "100 max(1 − ‖x − x̂‖/‖x − x̄‖, 0)", "as printed, larger would be worse", best_fit_ratio),
+    ("BFR (20) without “1 −”", "100 max(1 − ‖x − x̂‖/‖x − x̄‖, 0)", "as printed, larger is worse", best_fit_ratio),
     ("logarithm needs eigenvalues “with non-negative real components”",
      "no eigenvalue on the closed negative real axis",
      "the definition (Higham, *Functions of Matrices*, Thm. 1.31)", logarithm),

@@ -1,6 +1,6 @@
 """`make sweep`: a sweep that a YAML file describes, its table and figure in a folder.
 
-    python -m tras.sweeps.command params/sweeps/dictionaries.yaml --out build/sweep/dictionaries [--scheduler tcp://host:8786]
+    python -m tras.sweeps.command params/sweeps/dictionaries.yaml --out build/sweep/dictionaries [--scheduler ADDRESS]
 
 The folder gets ``table.csv``, ``error.pdf``, .svg, .png and .csv, and ``cache/``. Killed or interrupted, the same
 command goes on where it was.

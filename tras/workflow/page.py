@@ -24,39 +24,49 @@ body { max-width: 64rem; margin: 0 auto; padding: 1rem 1rem 4rem; overflow-wrap:
 main > *, main > article { max-width: 44rem; } main > .scroll { max-width: 100%; }
 h1, h2, h3, nav, table, .verdict { font-family: system-ui, "DejaVu Sans", sans-serif; }
 h1, h2, h3 { line-height: 1.25; }
-h1 { font-size: 1.9rem; } h2 { font-size: 1.45rem; margin-top: 3rem; border-bottom: 1px solid #bbb; padding-bottom: .2rem; }
+h1 { font-size: 1.9rem; }
+h2 { font-size: 1.45rem; margin-top: 3rem; border-bottom: 1px solid #bbb; padding-bottom: .2rem; }
 h3 { font-size: 1.15rem; margin-top: 2rem; } article h3 { font-size: 1rem; margin: 0 0 .4rem; }
 a { color: #0b4a8f; } a:focus-visible, .scroll:focus-visible, .equation:focus-visible { outline: 2px solid #0b4a8f; }
-code { font-size: .88em; background: #f3f3f3; padding: 0 .2em; } pre { background: #f3f3f3; padding: .7rem; overflow-x: auto; }
+code { font-size: .88em; background: #f3f3f3; padding: 0 .2em; }
+pre { background: #f3f3f3; padding: .7rem; overflow-x: auto; }
 nav { border: 1px solid #ccc; padding: .5rem 1.2rem 1rem; font-size: .95rem; }
-nav h2 { margin: .5rem 0; border: 0; font-size: 1.05rem; } nav > ul { columns: 18rem 2; } nav > ul > li { break-inside: avoid; }
+nav h2 { margin: .5rem 0; border: 0; font-size: 1.05rem; } nav > ul { columns: 18rem 2; }
+nav > ul > li { break-inside: avoid; }
 nav ul { margin: .3rem 0; padding-left: 1.2rem; }
 figure { margin: 1.8rem 0; } figure img { display: block; width: 100%; max-width: 36rem; height: auto; }
 figcaption, caption { font: .92rem/1.45 Georgia, "DejaVu Serif", serif; text-align: left; color: #333; }
 figcaption { max-width: 36rem; margin-top: .6rem; } caption { padding-bottom: .5rem; }
 caption > span { display: block; position: sticky; left: 0; max-width: min(42rem, calc(100vw - 2.2rem)); }
 .scroll { overflow-x: auto; margin: 1.5rem 0; }
-.equation { display: flex; align-items: center; gap: 1rem; overflow-x: auto; margin: 1rem 0; padding: .2rem 0; } .equation math { flex: 1 0 auto; }
-math { font-family: "Latin Modern Math", "STIX Two Math", "Cambria Math", "Libertinus Math", "DejaVu Math TeX Gyre", math; font-size: 1.08em; }
+.equation { display: flex; align-items: center; gap: 1rem; overflow-x: auto; margin: 1rem 0; padding: .2rem 0; }
+.equation math { flex: 1 0 auto; }
+math { font-family: "Latin Modern Math", "STIX Two Math", "Cambria Math", "Libertinus Math", "DejaVu Math TeX Gyre",
+math; font-size: 1.08em; }
 table { border-collapse: collapse; font-size: .85rem; line-height: 1.4; }
 th, td { text-align: left; vertical-align: top; padding: .3rem .6rem; border-bottom: 1px solid #ddd; }
 thead th { border-bottom: 2px solid #555; vertical-align: bottom; } tbody th { font-weight: 600; }
 .numbers td { white-space: nowrap; } .numbers .number { text-align: right; font-variant-numeric: tabular-nums; }
-.numbers th[scope="row"] { min-width: 5.5rem; } .prose td { min-width: 8rem; } .prose td:last-child { min-width: 14rem; }
-.verdict { display: inline-block; font-weight: bold; font-size: .88rem; line-height: 1.3; padding: .1rem .5rem; border: 2px solid; background: #fff; }
-.reproduced { color: #0a5c36; } .named { color: #6b4a00; border-style: dashed; } .not { color: #8c1515; border-style: double; border-width: 4px; }
+.numbers th[scope="row"] { min-width: 5.5rem; } .prose td { min-width: 8rem; }
+.prose td:last-child { min-width: 14rem; }
+.verdict { display: inline-block; font-weight: bold; font-size: .88rem; line-height: 1.3; padding: .1rem .5rem;
+border: 2px solid; background: #fff; }
+.reproduced { color: #0a5c36; } .named { color: #6b4a00; border-style: dashed; }
+.not { color: #8c1515; border-style: double; border-width: 4px; }
 .uncheckable { color: #444; border-style: dotted; }
-article { border-left: 3px solid #bbb; padding: .1rem 0 .1rem 1rem; margin: 1.6rem 0; } article p { margin: .35rem 0; }
+article { border-left: 3px solid #bbb; padding: .1rem 0 .1rem 1rem; margin: 1.6rem 0; }
+article p { margin: .35rem 0; }
 .lacking { border: 1px solid #777; padding: .5rem .8rem; background: #f7f7f7; }
 .details { font-size: .9rem; color: #333; }
 @media print {
   * { box-sizing: border-box; }
 :root { font-size: 10pt; } body { max-width: none; padding: 0; } .scroll, .equation { overflow: visible; }
   th[scope="row"], .prose td:last-child, .prose td { min-width: 0 !important; }
-  table { font-size: 7pt; } th, td { padding: .15rem .3rem; white-space: normal !important; } figure img { max-width: 28rem; } nav { display: none; }
+  table { font-size: 7pt; } th, td { padding: .15rem .3rem; white-space: normal !important; }
+  figure img { max-width: 28rem; } nav { display: none; }
   figure, article, tr { break-inside: avoid; } h2, h3, caption { break-after: avoid; } a { color: inherit; }
 }
-"""  # noqa: E501
+"""
 
 
 def escape(text) -> str:
