@@ -6,11 +6,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 
 import tras
 
 ROOT = Path(__file__).parent.parent
 SLOW = {"cluster", "checkout", "browser"}  # fixtures that take seconds
+
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False, width=64)
+
+
+def matrices(rows, columns):
+    """Arrays (rows, columns) of any finite numbers."""
+    size = rows * columns
+    return st.lists(FINITE, min_size=size, max_size=size).map(lambda values: np.array(values).reshape(rows, columns))
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -7,6 +7,7 @@ import numpy as np
 import pandas
 import pytest
 import xarray
+from conftest import FINITE, matrices
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,7 +15,6 @@ import tras
 
 R = tras.Recording
 ZEROS = np.zeros((2, 5, 3))
-finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
 
 
 def ragged(lengths=(5, 3, 9), n=2, m=1):
@@ -40,13 +40,8 @@ def same(a, b):
     data=st.data(),
 )
 def test_file_round_trip_is_exact(lengths, n, m, data, tmp_path_factory):
-
-    def draw(rows, columns):
-        size = rows * columns
-        return np.array(data.draw(st.lists(finite, min_size=size, max_size=size))).reshape(rows, columns)
-
     recording = tras.Recording(
-        [draw(k, n) for k in lengths], [draw(k, m) for k in lengths], data.draw(st.floats(1e-6, 1e6)),
+        *([data.draw(matrices(k, columns)) for k in lengths] for columns in (n, m)), data.draw(st.floats(1e-6, 1e6)),
         state_names=[f"q{i}" for i in range(n)], state_units=["rad"] * n,
         attributes={"seed": 3, "who": "me", "limits": (1.0, 2.0)},
     )  # fmt: skip
@@ -58,7 +53,7 @@ def test_file_round_trip_is_exact(lengths, n, m, data, tmp_path_factory):
 
 
 VALUES = st.recursive(
-    st.none() | st.booleans() | st.integers() | finite | st.text(),
+    st.none() | st.booleans() | st.integers() | FINITE | st.text(),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
     max_leaves=8,
 )

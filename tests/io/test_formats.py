@@ -9,6 +9,7 @@ import pandas
 import pyarrow
 import pyarrow.parquet
 import pytest
+from conftest import matrices
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.io import loadmat, savemat
@@ -19,7 +20,6 @@ from tras.io.formats import FORMATS
 from tras.io.roles import assign, guess_role
 
 R = tras.Recording
-finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
 names = st.text(min_size=1, max_size=8).filter(
     lambda text: (
         text not in ("trajectory", "time", "sample", "row_size", ".")
@@ -57,16 +57,17 @@ def sentences(recording):
     data=st.data(),
 )
 def test_round_trips_are_exact(lengths, n, m, data, tmp_path_factory):
-
-    def draw(rows, columns):
-        size = rows * columns
-        return np.array(data.draw(st.lists(finite, min_size=size, max_size=size))).reshape(rows, columns)
-
     labels = data.draw(st.lists(names, min_size=n + m, max_size=n + m, unique=True))
     unit = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=5)
     labels = {"state_names": labels[:n], "input_names": labels[n:], "state_units": [data.draw(unit) for _ in range(n)]}
     attributes, dt = {"seed": 3, "nested": [None, {"a": 0.1}]}, data.draw(st.floats(1e-6, 1e6))
-    recording = R([draw(k, n) for k in lengths], [draw(k, m) for k in lengths], dt, **labels, attributes=attributes)
+    recording = R(
+        [data.draw(matrices(k, n)) for k in lengths],
+        [data.draw(matrices(k, m)) for k in lengths],
+        dt,
+        **labels,
+        attributes=attributes,
+    )
     folder = tmp_path_factory.mktemp("own")
     for suffix in FORMATS:
         path = folder / f"a{suffix}"
