@@ -56,7 +56,7 @@ OUT_02 := $(addprefix $(DATA)/,held_out.nc identification.csv spectrum.csv $(MOD
 OUT_03 := $(addprefix $(DATA)/,metrics.csv horizon.csv overlay.csv)
 OUT_04 := $(addprefix $(FIGURES)/,$(foreach kind,pdf svg png csv,$(DRAWN:%=%.$(kind))) table.csv)
 OUT_05 := $(ROBUSTNESS:%=$(DATA)/%.csv) $(addprefix $(FIGURES)/,$(foreach kind,pdf svg png csv,$(ROBUSTNESS_DRAWN:%=%.$(kind))))
-OUT_06 := $(DATA)/readings.csv $(foreach kind,pdf svg png csv,$(FIGURES)/readings_effects.$(kind) $(FIGURES)/readings_nearest.$(kind))
+OUT_06 := $(addprefix $(DATA)/,readings.csv readings_around.csv readings_start.csv) $(foreach kind,pdf svg png csv,$(FIGURES)/readings_effects.$(kind) $(FIGURES)/readings_nearest.$(kind))
 OUT_07 := $(addprefix $(DATA)/,comparison.csv comparison_tuning.csv comparison_data.csv) \
   $(foreach kind,pdf svg png csv,$(addprefix $(FIGURES)/,comparison_horizon.$(kind) comparison_data.$(kind) comparison_pareto.$(kind)))
 OUT_08 := $(DATA)/claims.csv
