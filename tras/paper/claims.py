@@ -73,7 +73,7 @@ def nrmse(grid: pd.DataFrame, around: pd.DataFrame, angle: str) -> dict:
     of random pairs of numbers have a reading as near that departs as little.
     """
     ranking = effects.nearest(grid)
-    everything = pd.concat([ranking, effects.nearest(around)], ignore_index=True)
+    everything = effects.nearest(pd.concat([grid, around], ignore_index=True))
     default = _rows(ranking, **readings.Readings().model_dump())
     ours = default.iloc[0] if len(default) else None
     both = everything[_meets(everything, "yaw") & _meets(everything, "pitch")]
@@ -98,7 +98,7 @@ def nrmse(grid: pd.DataFrame, around: pd.DataFrame, angle: str) -> dict:
             f"; the one with the fewest departures from the default ({effects.describe(candidate)}) has "
             f"{_both(candidate)}, and {share:.1%} of random pairs have a reading as near that departs as little"
         )
-    nearest = everything.sort_values("distance", kind="stable").iloc[0]
+    nearest = everything.iloc[0]
     share = effects.chance(everything, nearest["distance"], np.random.default_rng(0))
     evidence += (
         f"; the nearest of all ({effects.describe(nearest)}) has {_both(nearest)}, and {share:.0%} of random pairs "
