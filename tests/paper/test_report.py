@@ -72,6 +72,11 @@ def study_tables(root, rng):
     options = "input frequency_unit dictionary state horizon nrmse_range velocity_term angle_names"
     rows = [(*["x"] * 7, names, 4.0, 5.0, 0.123) for names in ("words", "symbols")]
     write(figures / "readings_nearest.csv", f"{options} yaw pitch distance", rows)
+    cases = list(itertools.product(("DMDc", "Koopman, the paper's"), ("reference", "torque"), ("yaw", "pitch")))
+    rows = [(*case, 6, 1 + i / 8) for i, case in enumerate(cases)]
+    write(figures / "comparison_pareto.csv", "method input angle horizon nrmse", rows)
+    rows = [("true", "pitch", 0), ("Gaussian RBF", "pitch", 0.25), ("Gaussian RBF", "pitch", 0.75)]
+    write(figures / "portrait.csv", "model plane error", rows)
 
 
 def claim_rows():
@@ -254,6 +259,12 @@ def test_summaries_of_studies(whole, tree):
     assert "0.75 %, with noise of 1 % 2 %" in text_of(after(tree, "the-rigs-parameters", "p"))
     assert "without noise 25% of the stretches" in text_of(after(tree, "length-of-the-data", "p"))
     assert cells(after(tree, "eigenpairs", "table"))[1] == ["linear", "2", "1", "0.25"]
+    methods = cells(after(tree, "other-methods", "table"))
+    assert methods[0] == ["method", "angle", "reference", "torque"] and methods[1] == ["DMDc", "yaw", "1", "1.25"]
+    said = text_of(after(tree, "other-methods", "p"))
+    assert "smallest error in yaw has DMDc, with the references DMDc" in said and "Over 6 s the paper's" in said
+    assert "1.75 / 1.88 % (yaw / pitch, torques), the linear DMDc 1.25 / 1.38 %" in said
+    assert cells(after(tree, "one-model-seen", "table"))[1:] == [["pitch", "Gaussian RBF", "0.5", "0.75"]]
     nearest = cells(after(tree, "the-readings-nearest-to-the-paper", "table"))[1]
     assert nearest[-4:] == ["words", "4.00", "5.00", "0.123"]
 

@@ -106,7 +106,7 @@ def conclusions(text: str, sources: Sources, tables: dict[str, str], **names) ->
             points.append(" ".join(render(point, sources, **names).split()))
         except Lacking as lack:
             points.append(f"* *Nothing to conclude here:* {lack}")
-    return "\n".join(filter(None, points))
+    return "\n".join(dict.fromkeys(filter(None, points)))  # what is lacking is said once
 
 
 def number(value, spec: str = "g") -> str:
