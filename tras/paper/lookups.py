@@ -99,7 +99,7 @@ def conclusions(text: str, sources: Sources, tables: dict[str, str], **names) ->
     ValueError
         As `render`, but for what is lacking.
     """
-    names |= {name: _Table(sources, file) for name, file in tables.items()}
+    names |= {name: Table(sources, file) for name, file in tables.items()}
     points = []
     for point in re.split(r"^(?=\* )", text.strip(), flags=re.MULTILINE):
         try:
@@ -184,7 +184,7 @@ def table(spec: dict, sources: Sources) -> tuple[list[str], list[list[str]], int
 # --- parts ------------------------------------------------------------------------------------------------------------
 
 
-class _Table(NamedTuple):
+class Table(NamedTuple):
     """A table of the sources as a function of a text."""
 
     sources: Sources
