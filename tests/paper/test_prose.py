@@ -62,7 +62,7 @@ def prose(page: str, text: str) -> str:
         cells = json.loads(text)["cells"]
         text = "\n\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
     else:
-        text = re.sub(r"^(?: {4}.*\n)+", "\n", text, flags=re.MULTILINE)
+        text = re.sub(r"(?<=\n\n)(?: {4}.*\n)+", "\n", text)
     text = re.sub(r"<!-- (\w+): written by .*?<!-- end of \1 -->", " ", text, flags=re.DOTALL)
     text = re.sub(r"^( *)```.*?^\1```", _captions, text, flags=re.DOTALL | re.MULTILINE)
     text = re.sub(r"\{[{%] .*? [%}]\}|\$\$.*?\$\$", " ", text, flags=re.DOTALL)

@@ -98,6 +98,12 @@ def conclusions(text: str, sources: Sources, tables: dict[str, str], **names) ->
     ------
     ValueError
         As `render`, but for what is lacking.
+
+    Examples
+    --------
+    >>> text = "* {% if error < 5 %}Good{% else %}Poor{% endif %}: {{ error | number('.1f') }} %."
+    >>> conclusions(text, Sources(Path("data"), Path("figures")), {}, error=4.06)
+    '* Good: 4.1 %.'
     """
     names |= {name: Table(sources, file) for name, file in tables.items()}
     points = []
