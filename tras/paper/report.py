@@ -75,7 +75,8 @@ def _figure(spec, sources, inline):
     path = page.picture(sources.figures, spec["name"])
     if path is None:
         raise Lacking(f"figures/{spec['name']}.svg is not there: {sources.command} makes it.")
-    return page.figure(path, " ".join(spec["alt"].split()), inline(spec["caption"]), f"fig-{spec['name']}")
+    alt, caption = " ".join(spec["alt"].split()), inline(spec["caption"])
+    return page.figure(path, alt, caption, f"fig-{spec['name']}", wide=spec.get("wide", False))
 
 
 def _table(spec, sources, inline):
