@@ -11,6 +11,7 @@ One rule was changed after looking, that of C8, on 2026-11-23: the first one cou
 the present one also counts those whose K is singular. The ledger gives the result of both.
 """
 
+import collections
 import math
 
 import numpy as np
@@ -340,6 +341,35 @@ def markdown(rows):
         verdict = row["verdict"] + (f": {row['reading']}" if row["verdict"] in (NAMED, PARTLY) else "")
         lines.append((row["claim"], row["statement"], f"**{verdict}**", row["evidence"] + "."))
     return files.markdown_table(lines)
+
+
+def verdicts(rows):
+    """The verdicts alone as Markdown, one line per claim."""
+    lines = []
+    for row in rows:
+        where = f" ({row['reading']})" if row["verdict"] in (NAMED, PARTLY) else ""
+        lines.append(f"* {row['claim']}: {row['statement']}. **{row['verdict'].capitalize()}**{where}.")
+    return "\n".join(lines)
+
+
+def findings(rows, ranking):
+    """What came out, in three sentences, from the rows of ``claims.csv`` and of ``readings_nearest.csv``."""
+    counts, angles = collections.Counter(row["verdict"] for row in rows), tuple(readings.PAPER_NRMSE)
+    numbers = [*angles, *(f"{angle}_{end}" for angle in angles for end in ("lowest", "highest"))]
+    ranking = pd.DataFrame(ranking)
+    ranking = ranking.assign(**{name: ranking[name].astype(float) for name in (*numbers, "distance")})
+    nearest, linear = ranking.iloc[0], ranking[ranking["dictionary"] == "linear"].iloc[0]
+    share = effects.chance(ranking, nearest["distance"], np.random.default_rng(0))
+    told = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
+    tell = "may tell" if linear["distance"] > nearest["distance"] + math.log(1.1) else "cannot tell"
+    return (
+        f"Of the paper's {len(rows)} statements, {told}. Of {len(ranking)} readings of its text the nearest to its two "
+        f"numbers, yaw {readings.PAPER_NRMSE['yaw']} % and pitch {readings.PAPER_NRMSE['pitch']} %, is "
+        f"{effects.describe(nearest)}: yaw {_range(nearest, 'yaw')}, pitch {_range(nearest, 'pitch')} over the seeds. "
+        f"But {share:.0%} of random pairs of numbers have a reading as near, and a linear model is off by "
+        f"{math.expm1(linear['distance']):.0%} where that one is by {math.expm1(nearest['distance']):.0%}: the two "
+        f"numbers {tell} whether the paper's model was nonlinear."
+    )
 
 
 def text(rows):
