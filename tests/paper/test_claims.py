@@ -325,20 +325,34 @@ def test_all_ten_have_a_verdict_and_evidence(judged):
     assert (judged.loc[judged["verdict"] == claims.NAMED, "reading"] != "").all()
 
 
-def test_the_readme_holds_the_table(judged, tmp_path, capsys):
+def test_the_readme_holds_the_verdicts(judged, tmp_path, capsys):
     judged.to_csv(tmp_path / "claims.csv", index=False)
     readme = tmp_path / "README.md"
-    begin, end = pages.markers("claims")
+    begin, end = pages.markers("verdicts")
     readme.write_text(f"a\n{begin}\n{end}\nb\n")
-    call = ["claims", f"--data={tmp_path}", f"--pages={tmp_path}"]
+    call = ["verdicts", f"--data={tmp_path}", f"--pages={tmp_path}"]
     assert pages.main([*call, "--write"]) == 0
-    text = readme.read_text()
-    assert all(f"| {row.claim} | {row.statement} | **{row.verdict}" in text for row in judged.itertuples())
-    assert text.endswith("b\n")
+    lines = readme.read_text().splitlines()
+    assert len(lines) == 2 + 10 + 2
+    for line, row in zip(lines[2:], judged.itertuples()):
+        assert line.startswith(f"* {row.claim}: {row.statement}. **{row.verdict.capitalize()}**")
+        assert line.endswith(f" ({row.reading}).") == (row.verdict in (claims.NAMED, claims.PARTLY))
     assert pages.main(call) == 0 and capsys.readouterr().out.count("\n") == 10
     readme.write_text("no markers")
     assert pages.main([*call, "--write"]) == 2 and "must hold" in capsys.readouterr().err
     assert pages.main([call[0], f"--data={tmp_path / 'none'}"]) == 2 and "make all" in capsys.readouterr().err
+
+
+def test_the_findings_count_the_verdicts_and_say_what_the_nearest_is_worth(judged):
+    ranking = effects.nearest(grid(with_torque))
+    text = claims.findings(judged.to_dict("records"), ranking.astype(str).to_dict("records"))
+    counts = judged["verdict"].value_counts()
+    assert all(f"{counts[verdict]} {verdict}" in text for verdict in counts.index)
+    assert "is input torque: yaw 4.1 % (4.02 to 4.18), pitch 5.5 % (5.39 to 5.61) over the seeds" in text
+    assert "cannot tell whether" in text  # the linear model has the same errors here
+    apart = effects.nearest(grid(lambda r: (1.0, 1.0) if r["dictionary"] == "linear" else with_torque(r)))
+    text = claims.findings(judged.to_dict("records"), apart.astype(str).to_dict("records"))
+    assert "may tell whether" in text
 
 
 def test_a_singular_K_has_the_eigenvalue_zero():

@@ -159,7 +159,10 @@ def test_rendering_shows_paper_range_condition_and_divergence(tmp_path, capsys):
     assert pages.main([*call, "--check"]) == 0
     assert "holds another table" in capsys.readouterr().out
     pages.main([*call, "--write"])
-    assert readme.read_text() == f"before\n{begin}\n{text}\n{end}\nafter\n"
+    first = tables.first_markdown(tables.read(tmp_path / "table.csv"))
+    assert readme.read_text() == f"before\n{begin}\n{first}\n{end}\nafter\n"
+    kept = [line for line in text.split("\n") if line.startswith(("|  |", "| ---", "| NRMSE", "| BFR"))]
+    assert first.split("\n") == [line for line in kept if "yaw, 500 s" not in line] and len(first.split("\n")) == 2 + 5
     pages.main([*call, "--check"])
     assert "holds another table" not in capsys.readouterr().out
 

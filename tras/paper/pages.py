@@ -1,4 +1,4 @@
-"""The tables of README.md and docs/, each between its two markers.
+"""The tables of README.md and docs/paper.md, each between its two markers.
 
 ``python -m tras.paper.pages`` prints them, or those that are named; with ``--write`` it writes them into their pages
 (`make readme`); with ``--check`` it says which page holds another one.
@@ -15,9 +15,7 @@ from tras.workflow.files import write_between
 TABLES = {  # name -> page, CSV files of its rows, function of its module for Markdown, the one for a terminal
     "findings": ("README.md", ("data/claims.csv", "figures/readings_nearest.csv"), "findings", "findings"),
     "table": ("README.md", ("figures/table.csv",), "first_markdown", "text"),
-    "verdicts": ("README.md", ("data/claims.csv",), "verdicts", "verdicts"),
-    "claims": ("docs/claims.md", ("data/claims.csv",), "markdown", "text"),
-    "comparison": ("docs/replication.md", ("data/comparison.csv",), "methods_markdown", "methods_markdown"),
+    "verdicts": ("README.md", ("data/claims.csv",), "verdicts", "text"),
     "errors": ("docs/paper.md", (), "markdown", "markdown"),
     "readings": ("docs/paper.md", (), "markdown", "markdown"),
 }
@@ -25,7 +23,7 @@ TABLES = {  # name -> page, CSV files of its rows, function of its module for Ma
 
 def _module(name):
     """The module of a table, imported when it is asked for: `make all` prints one, and fast."""
-    if name in ("claims", "findings", "verdicts"):
+    if name in ("findings", "verdicts"):
         from tras.paper import claims as module
     elif name == "errors":
         from tras.paper import errata as module
