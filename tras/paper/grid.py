@@ -151,7 +151,7 @@ def run(study: Study, cases: list[dict], folder, *, processes: int = 2, progress
     groups = {}  # of models that run freely together
     for point, value in zip(cases, values):
         if value["rows"]:
-            label = tuple(point[name] for name in ("state", "dictionary", "draw", "start"))
+            label = tuple(point[name] for name in ("state", "dictionary", "draw"))
             groups.setdefault(label, []).append((point, value["field"]))
     groups = list(groups.values())
     keys = [{**about, "points": [_name(point) for point, _ in group]} for group in groups]
