@@ -51,8 +51,14 @@ def read(path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=s
             roles |= {"time": "time", "trial": "trajectory"}
     elif dt is not None:
         roles = {**mapping(roles), "dt": dt}
-    columns, guesses = assign(source.names, roles, source.units, source.dt)
-    x, u, step, noticed = sampling.trajectories(
+    elif source.roles:
+        roles = _with_those_of_the_file(mapping(roles), source)
+    try:
+        columns, guesses = assign(source.names, roles, source.units, source.dt)
+    except RecordingError as error:
+        remarks = "".join(f"\nNoticed: {remark}." for remark in source.remarks)
+        raise RecordingError(f"{error}{remarks}") from error
+    x, u, step, noticed, tables = sampling.trajectories(
         source.read(columns), columns, source.locate, resample=resample, missing=missing, tolerance=tolerance
     )
     content = {"states": x, "inputs": u, "dt": step, "state_names": columns.states, "input_names": columns.inputs}
@@ -70,6 +76,11 @@ def read(path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=s
         guesses.append(f"the sampling time is {step:g} s")
     units = [[columns.units.get(name, "") for name in names] for names in (columns.states, columns.inputs)]
     attributes = {"source": path.name, "guessed": guesses, "noticed": [*source.remarks, *noticed]}
+    if "intersample" in source.attributes:
+        between = source.attributes["intersample"]
+        attributes["intersample"] = {name: between[name] for name in columns.inputs if name in between}
+    if test := [i for i, table in enumerate(tables) if table in source.test]:
+        attributes["test_trajectories"] = test
     return {**content, "state_units": units[0], "input_units": units[1], "attributes": attributes}
 
 
@@ -104,6 +115,13 @@ def known(path: str | Path) -> Path:
     if path.suffix not in FORMATS:
         raise RecordingError(f"path {path} ends in {path.suffix!r}; recordings are files of {', '.join(FORMATS)}.")
     return path
+
+
+def _with_those_of_the_file(spec, source):
+    """The roles of ``spec``; those it leaves open as the file states them."""
+    given = {*spec.get("states", ()), *spec.get("inputs", ())}
+    stated = {role: [name for name in names if name not in given] for role, names in source.roles.items()}
+    return {**stated, **spec}
 
 
 def _checked(header):

@@ -1,6 +1,8 @@
 """From columns to trajectories: trials, the sampling time, missing values, resampling when asked."""
 
 import functools
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +32,8 @@ def trajectories(tables, roles, locate, *, resample=None, missing="cut", toleran
     dt : float
         In s.
     remarks : list of str
+    numbers : list of int
+        Of each trajectory, the table that it comes from.
 
     Raises
     ------
@@ -48,9 +52,8 @@ def trajectories(tables, roles, locate, *, resample=None, missing="cut", toleran
             rows = slice(start, end)
             x = np.column_stack([table[name][rows] for name in roles.states])
             u = np.column_stack([table[name][rows] for name in roles.inputs] or [np.empty((end - start, 0))])
-            where = lambda row, number=number, start=start: locate(number, start + row)  # noqa: E731
             t = None if roles.time is None else table[roles.time][rows] * numerator / denominator
-            pieces.append((t, x, u, where))
+            pieces.append((t, x, u, _Place(locate, number, start)))
     pieces = _cut(pieces, roles, missing, remarks)
     if roles.time is None:
         if resample is not None:
@@ -62,9 +65,23 @@ def trajectories(tables, roles, locate, *, resample=None, missing="cut", toleran
         dt = float(resample) if resample is not None else _sampling_time(pieces, roles, tolerance)
         if resample is not None:
             pieces = _resampled(pieces, dt, remarks)
-    _, states, inputs, _ = zip(*pieces)
+    _, states, inputs, places = zip(*pieces)
     remarks += _constant(states, roles.states) + _constant(inputs, roles.inputs)
-    return list(states), list(inputs), dt, remarks
+    return list(states), list(inputs), dt, remarks, [place.table for place in places]
+
+
+class _Place(NamedTuple):
+    """Where a piece begins: row ``start`` of a table of the file; called with a row of the piece, it says where."""
+
+    locate: Callable
+    table: int
+    start: int
+
+    def __call__(self, row):
+        return self.locate(self.table, self.start + row)
+
+    def after(self, rows):
+        return self._replace(start=self.start + rows)
 
 
 def _trials(table, roles, where):
@@ -107,8 +124,8 @@ def _cut(pieces, roles, missing, remarks):
         places += [f"{names[np.argmax(bad[row])]} at {where(row)}" for row in gaps[:3]]
         for start, end in zip([0, *(gaps + 1)], [*gaps, len(x)]):
             if end - start >= 2:
-                shifted = lambda row, where=where, start=start: where(start + row)  # noqa: E731
-                complete.append((None if t is None else t[start:end], x[start:end], u[start:end], shifted))
+                t_piece = None if t is None else t[start:end]
+                complete.append((t_piece, x[start:end], u[start:end], where.after(int(start))))
             elif end > start:
                 short += 1
     if places:
