@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+_TEST = "test_trajectories"  # attribute: the numbers of those that a file calls its test or validation set
 _RESERVED = ("trajectory", "time", "sample", "row_size")  # columns and dimensions of the table and the file
 
 
@@ -129,7 +130,7 @@ class Recording:
     def __getitem__(self, index):
         """A recording of the trajectory or trajectories at an integer, slice, list of integers or boolean mask."""
         numbers = np.atleast_1d(np.arange(len(self))[index])
-        return self.with_data([self._states[i] for i in numbers], [self._inputs[i] for i in numbers])
+        return self._of([self._states[i] for i in numbers], [self._inputs[i] for i in numbers], numbers.tolist())
 
     def __repr__(self):
         lengths = self.lengths
@@ -172,20 +173,22 @@ class Recording:
             raise ValueError(
                 f"samples = {samples}; pieces need 2 to {self.lengths.max()} samples, the longest trajectory's length."
             )
-        starts = [(x, u, k) for x, u in self for k in range(0, len(x) - samples + 1, samples - 1)]
-        return self.with_data([x[k : k + samples] for x, _, k in starts], [u[k : k + samples] for _, u, k in starts])
+        starts = [(x, u, k, i) for i, (x, u) in enumerate(self) for k in range(0, len(x) - samples + 1, samples - 1)]
+        states, inputs = ([pair[j][pair[2] : pair[2] + samples] for pair in starts] for j in (0, 1))
+        return self._of(states, inputs, [i for *_, i in starts])
 
     def cut_all(self, samples: int) -> "Recording":
         """As `cut`, but rests and shorter trajectories are kept with the length that they have."""
         samples = whole_number("samples", samples)
         if samples < 2:
             raise ValueError(f"samples = {samples}; pieces need 2 samples or more.")
-        states, inputs = [], []
-        for x, u in self:
+        states, inputs, origins = [], [], []
+        for i, (x, u) in enumerate(self):
             for k in range(0, max(len(x) - 1, 1), samples - 1):
                 states.append(x[k : k + samples])
                 inputs.append(u[k : k + samples])
-        return self.with_data(states, inputs)
+                origins.append(i)
+        return self._of(states, inputs, origins)
 
     def delayed(self, delays: int, *, inputs: bool = False) -> "Recording":
         """The states of ``delays`` earlier samples, newest first, as states beside the present ones, and the earlier
@@ -339,9 +342,13 @@ class Recording:
         >>> recording.attributes["guessed"]
         ['time is column t', 'states are theta', 'inputs are torque', 'the sampling time is 0.1 s']
         """
-        from tras.io import formats
+        from tras.io import formats, frame
         from tras.io.roles import RecordingError
 
+        if frame.is_frame(path):
+            raise RecordingError(
+                f"path is an open {type(path).__name__}; read a table with Recording.from_frame(dataframe)."
+            )
         path = formats.known(path)
         try:
             return cls(**formats.read(path, roles, dt=dt, resample=resample, missing=missing, tolerance=tolerance))
@@ -358,6 +365,55 @@ class Recording:
                 else f"it is damaged, or not what its suffix says ({type(error).__name__}: {error})"
             )
             raise RecordingError(what if what.startswith(str(path)) else f"{path}: {what}") from error
+
+    @classmethod
+    def from_frame(
+        cls,
+        dataframe,
+        roles: dict | str | Path | None = None,
+        *,
+        dt: float | None = None,
+        resample: float | None = None,
+        missing: str = "cut",
+        tolerance: float = 0.01,
+    ) -> "Recording":
+        """A recording of a pandas table, as `read` makes one of a file.
+
+        Parameters
+        ----------
+        dataframe : pandas.DataFrame
+            One column per channel, (samples, columns). An index of times, or one with a name, is a column, too. Units:
+            ``dataframe.attrs["units"]``, a dict column -> unit, or those of ``roles``.
+        roles, dt, resample, missing, tolerance
+            As for `read`.
+
+        Raises
+        ------
+        ValueError
+            As `read`.
+
+        Examples
+        --------
+        >>> import pandas
+        >>> table = pandas.DataFrame({"t": [0.0, 0.1, 0.2], "theta": [0.1, 0.2, 0.4], "torque": [2.0, 2.0, 1.5]})
+        >>> Recording.from_frame(table)
+        Recording: 1 trajectories of 3 samples at 0.1 s; states theta; inputs torque
+        """
+        from tras.io import formats, frame
+        from tras.io.roles import RecordingError
+
+        options = {"dt": dt, "resample": resample, "missing": missing, "tolerance": tolerance}
+        try:
+            return cls(**formats.recording_of(frame.open_table(dataframe), "dataframe", roles, **options))
+        except ValueError as error:
+            raise RecordingError(str(error)) from error
+
+    def _of(self, states, inputs, origins):
+        """`with_data` of trajectories that come from those with the numbers ``origins``: the test set stays one."""
+        new = self.with_data(states, inputs)
+        if _TEST in new.attributes:
+            new.attributes[_TEST] = [i for i, origin in enumerate(origins) if origin in new.attributes[_TEST]]
+        return new
 
     def with_data(self, states: list[np.ndarray], inputs: list[np.ndarray], **labels) -> "Recording":
         """A recording of other trajectories (lists of sound arrays) with this one's labels; nothing is checked."""
@@ -391,7 +447,12 @@ def join(recordings: Recording | Iterable[Recording]) -> Recording:
     first = recordings[0]
     for i, other in enumerate(recordings[1:], start=1):
         require_alike(first, other, i)
-    return first.with_data([x for r in recordings for x, _ in r], [u for r in recordings for _, u in r])
+    joined = first.with_data([x for r in recordings for x, _ in r], [u for r in recordings for _, u in r])
+    starts = np.cumsum([0, *map(len, recordings)]).tolist()
+    test = [start + i for r, start in zip(recordings, starts) for i in r.attributes.get(_TEST, [])]
+    if test or _TEST in joined.attributes:
+        joined.attributes[_TEST] = test
+    return joined
 
 
 def require_alike(first, other, i):

@@ -1,6 +1,7 @@
 """Recordings in files of other tools: columns and their roles, times, gaps, damage."""
 
 import json
+import tracemalloc
 
 import h5py
 import numpy as np
@@ -406,6 +407,39 @@ def test_parquet_units_and_nested_columns(tmp_path):
     assert R.read(tmp_path / "a.parquet", {"states": "q"}).state_units == ("rad",)
     with pytest.raises(tras.RecordingError, match="column 'x' holds list"):
         R.read(tmp_path / "a.parquet")
+
+
+def test_parquet_with_a_long_row_is_refused_before_it_is_read(tmp_path, monkeypatch):
+    """A row of a list, or one text that all rows share, may be larger than memory in a file of some kB."""
+    table = pyarrow.table({"t": [0.0], "q": [np.zeros(10**6)], "u": [0.0]})
+    pyarrow.parquet.write_table(table, tmp_path / "a.parquet")
+    monkeypatch.setattr(pyarrow.parquet.ParquetFile, "read", None)  # an error if it is called
+    with pytest.raises(tras.RecordingError, match="column 'q' holds list"):
+        R.read(tmp_path / "a.parquet")
+    monkeypatch.undo()
+    for plain in (True, False):
+        runs = pyarrow.array(["a" * 10**6] * 100)
+        runs = runs if plain else runs.dictionary_encode()
+        table = pyarrow.table({"t": np.arange(100.0), "q": np.zeros(100), "run": runs})
+        pyarrow.parquet.write_table(table, tmp_path / "a.parquet")
+        assert (tmp_path / "a.parquet").stat().st_size < 10**5
+        tracemalloc.start()
+        with pytest.raises(tras.RecordingError, match="'run' has a trial's name of 1000000 bytes; up to 1000"):
+            R.read(tmp_path / "a.parquet")
+        assert tracemalloc.get_traced_memory()[1] < 10**7
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("runs", [["a", "a", None, "b"], [1, 1, None, 2], [True, True, None, False]])
+def test_labels_of_trials_in_parquet(runs, tmp_path):
+    frame = pandas.DataFrame({"t": [0, 1, 0, 1], "q": np.arange(4.0), "run": pandas.array(runs)})
+    frame.to_parquet(tmp_path / "a.parquet")
+    with pytest.raises(tras.RecordingError, match="row 3: the trial's column 'run' is empty"):
+        R.read(tmp_path / "a.parquet")
+    frame.loc[2, "run"] = runs[3]
+    for write in (frame, frame.astype({"run": "category"})):
+        write.to_parquet(tmp_path / "a.parquet")
+        assert list(R.read(tmp_path / "a.parquet").lengths) == [2, 2]
 
 
 def test_tables_that_announce_absurd_sizes_are_refused_before_room_is_made(tmp_path):

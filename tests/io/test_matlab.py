@@ -486,6 +486,21 @@ def test_a_file_with_a_test_set(layout, tmp_path):
     assert list(recording.lengths) == lengths and recording.attributes["test_trajectories"] == test
     assert recording.dt == 0.25 and np.array_equal(recording.states[-1], X[SHORT])
     assert "are the test set" in sentences(recording)
+    recording.write(path := tmp_path / "again.nc")
+    assert R.read(path).attributes["test_trajectories"] == test
+
+
+def test_the_test_set_stays_one_when_trajectories_are_chosen_cut_and_joined(tmp_path):
+    savemat(tmp_path / "a.mat", {"train": cell(TRAIN, TRAIN), "val": cell(TEST)})
+    recording = R.read(tmp_path / "a.mat")
+    assert recording[[2, 0]].attributes["test_trajectories"] == [0] and recording[:2].attributes == {
+        **recording.attributes, "test_trajectories": []
+    }  # fmt: skip
+    assert recording.cut(4).attributes["test_trajectories"] == [4]  # pieces 2, 2, 1
+    assert recording.cut_all(3).attributes["test_trajectories"] == [6, 7]
+    assert recording.select(states=["x1"]).attributes["test_trajectories"] == [2]
+    joined = tras.recording.join([recording, recording])
+    assert joined.attributes["test_trajectories"] == [2, 5] and recording.attributes["test_trajectories"] == [2]
 
 
 def test_what_looks_like_a_test_set_and_is_none(tmp_path):

@@ -44,6 +44,12 @@ def read(path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=s
     if path.stat().st_size > MAX_FILE:
         raise RecordingError(f"it has {path.stat().st_size} bytes; up to {MAX_FILE} are read.")
     source = FORMATS[path.suffix].open_table(path)
+    options = {"dt": dt, "resample": resample, "missing": missing, "tolerance": tolerance}
+    return recording_of(source, path.name, roles, **options)
+
+
+def recording_of(source, name, roles, *, dt, resample, missing, tolerance) -> dict:
+    """The arguments of the `tras.Recording` of an open ``source``, whose file is called ``name``."""
     header = _checked(source.header) if source.header is not None and roles is None and dt is None else None
     if header:
         roles = {**{key: header[key] for key in ("states", "inputs", "dt")}, "time": None, "trial": None}
@@ -75,7 +81,7 @@ def read(path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=s
     if guesses and "dt" not in (roles or {}):
         guesses.append(f"the sampling time is {step:g} s")
     units = [[columns.units.get(name, "") for name in names] for names in (columns.states, columns.inputs)]
-    attributes = {"source": path.name, "guessed": guesses, "noticed": [*source.remarks, *noticed]}
+    attributes = {"source": name, "guessed": guesses, "noticed": [*source.remarks, *noticed]}
     if "intersample" in source.attributes:
         between = source.attributes["intersample"]
         attributes["intersample"] = {name: between[name] for name in columns.inputs if name in between}
