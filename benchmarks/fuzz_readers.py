@@ -16,6 +16,7 @@ import csv
 import multiprocessing
 import os
 import resource
+import struct
 import sys
 import tempfile
 import time
@@ -32,6 +33,11 @@ from scipy.io import savemat  # noqa: E402
 import tras  # noqa: E402
 
 CHECKED = ("own.nc", "own.parquet", "own.mat")
+# Of files whose columns have no plain names.
+ROLES = {
+    "to_file.mat": {"time": "ans1", "inputs": "ans2", "states": ["ans3", "ans4"]},
+    "scopes.mat": {"states": ["angle.x1", "angle.x2"], "inputs": "control.u"},
+}
 PATIENCE = 10  # s
 WRONG = ("crash", "hang", "traceback")
 
@@ -61,6 +67,14 @@ def seeds(folder):
     savemat(folder / "matlab5.mat", cells)
     savemat(folder / "matlab5z.mat", {"log": {"t": t[0], "x": x[0], "u": u[0], "name": "rig"}}, do_compression=True)
     _matlab73(folder / "matlab73.mat", cells)
+    savemat(folder / "version4.mat", {"t": t[0], "x": x[0], "u": u[0]}, format="4")
+    savemat(folder / "to_file.mat", {"ans": np.vstack([t[0], u[0].T, x[0].T])}, format="4")
+    scopes = {"angle": _scope(t[0], x[0], "x"), "control": _scope(np.r_[t[0], 9.0], np.r_[u[0], [[0.0]]], "u")}
+    savemat(folder / "scopes.mat", scopes)
+    split = {"uEst": u[0], "xEst": x[0], "uVal": u[1], "xVal": x[1], "Ts": 0.25, "G": x[0] + 1j}
+    savemat(folder / "split.mat", split)
+    savemat(folder / "parts.mat", {"train": _cell([{"t": t[0], "x": x[0], "u": u[0]}] * 2), "val": cells})
+    (folder / "iddata.mat").write_bytes(_iddata(x, u))
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
@@ -68,6 +82,52 @@ def _cell(values):
     array = np.empty((1, len(values)), dtype=object)
     array[0, :] = values
     return array
+
+
+def _scope(time, values, label):
+    """Simulink's structure with time."""
+    signal = np.array([(values, 2.0, label)], dtype=[("values", object), ("dimensions", object), ("label", object)])
+    return {"time": time[:, None], "signals": signal, "blockName": "rig/Scope"}
+
+
+def _iddata(x, u):
+    """A file of version 5 with an iddata object of two experiments, beside an opaque object and a function handle."""
+
+    def element(kind, content):
+        return struct.pack("<II", kind, len(content)) + content + bytes(-len(content) % 8)
+
+    def value(number, name, dims, *elements):
+        head = element(6, struct.pack("<II", number, 0)) + element(5, struct.pack("<2i", *dims))
+        return element(14, head + element(1, name) + b"".join(elements))
+
+    def matrix(array):
+        array = np.atleast_2d(array)
+        return value(6, b"", array.shape, element(9, array.tobytes(order="F")))
+
+    def cells(*values):
+        return value(1, b"", (len(values), 1), *values)
+
+    def text(content):
+        return value(4, b"", (1, len(content)), element(16, content))
+
+    fields = {
+        "Domain": text(b"Time"), "OutputData": cells(*map(matrix, x)), "OutputName": cells(text(b"q"), text(b"v")),
+        "OutputUnit": cells(text(b"rad"), text(b"rad/s")), "InputData": cells(*map(matrix, u)),
+        "InputName": cells(text(b"force")), "InputUnit": cells(text(b"N")),
+        "InterSample": cells(text(b"zoh"), text(b"zoh")), "Ts": cells(matrix(0.25), matrix(0.25)),
+        "SamplingInstants": cells(matrix(np.zeros((7, 0))), matrix(np.zeros((4, 0)))), "TimeUnit": text(b"seconds"),
+    }  # fmt: skip
+    names = element(1, b"".join(name.encode().ljust(32, b"\0") for name in fields))
+    content = [element(1, b"iddata"), element(5, struct.pack("<i", 32)), names, *fields.values()]
+    opaque = element(6, struct.pack("<II", 17, 0)) + b"".join(
+        element(1, word) for word in (b"ts", b"MCOS", b"timeseries")
+    )
+    variables = [
+        value(3, b"z", (1, 1), *content),
+        element(14, opaque + matrix(1.0)),
+        value(16, b"f", (1, 1), matrix(1.0)),
+    ]
+    return b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"".join(variables)
 
 
 def _matlab73(path, cells):
@@ -117,13 +177,14 @@ def damaged(content, others, rng):
 def content_of(recording):
     """All that must not change unnoticed."""
     labels = (recording.dt, recording.state_names, recording.input_names, recording.state_units, recording.input_units)
+    labels += tuple(recording.attributes.get(key) for key in ("intersample", "test_trajectories"))
     return repr(labels), [(x.tobytes(), u.tobytes()) for x, u in recording]
 
 
-def verdict(path, truth):
-    """What reading ``path`` comes to."""
+def verdict(path, roles, truth):
+    """What reading ``path`` with ``roles`` comes to."""
     try:
-        recording = tras.Recording.read(path)
+        recording = tras.Recording.read(path, roles)
     except tras.RecordingError as error:
         foreseen = isinstance(error.__cause__, ValueError) or path.suffix == ".nc" or error.__cause__ is None
         return (
@@ -143,7 +204,7 @@ def work(jobs, answers, folder, names, contents, truths):
     for name, seed in iter(jobs.recv, None):
         path = folder / f"damaged{Path(name).suffix}"
         path.write_bytes(damaged(contents[name], contents_of_kind(contents, name), np.random.default_rng(seed)))
-        answers.send(verdict(path, truths[name]))
+        answers.send(verdict(path, ROLES.get(name), truths[name]))
 
 
 def contents_of_kind(contents, name):
@@ -199,7 +260,7 @@ def main():
         originals = Path(folder) / "whole"
         originals.mkdir()
         contents = seeds(originals)
-        truths = {name: content_of(tras.Recording.read(originals / name)) for name in contents}
+        truths = {name: content_of(tras.Recording.read(originals / name, ROLES.get(name))) for name in contents}
         names = [name for name in contents if Path(name).suffix[1:] in options.only]
         child = Child(Path(folder), names, contents, truths)
         for number in range(options.inputs):
