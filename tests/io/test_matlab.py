@@ -12,7 +12,8 @@ from scipy.io import loadmat, savemat
 from scipy.sparse import csc_matrix
 
 import tras
-from tras.io import matfile5
+from tras.io import matfile5, matlab
+from tras.io.roles import Roles
 
 R = tras.Recording
 
@@ -546,3 +547,144 @@ def test_claims_of_size_are_refused_before_room_is_made(tmp_path):
         file.create_dataset("x", (10**9, 10**3), "f8", chunks=(1000, 1000))
     with pytest.raises(tras.RecordingError, match="more than 100000000 values"):
         R.read(tmp_path / "c.mat")
+
+
+# --- objects of the new kind --------------------
+
+
+def store(*objects, values, version=4):
+    """The part of a file for objects: (class, name -> place in ``values``) of each, numbered from 1."""
+    names = list(dict.fromkeys(word for kind, properties in objects for word in (kind, *properties)))
+    number = {name: i + 1 for i, name in enumerate(names)}
+    kinds = list(dict.fromkeys(kind for kind, _ in objects))
+    classes = [[0, 0, 0, 0], *([0, number[kind], 0, 0] for kind in kinds)]
+    records, plain = [[0] * 6], [0, 0]
+    for i, (kind, properties) in enumerate(objects):
+        records.append([kinds.index(kind) + 1, 0, 0, 0, i + 1, i + 1])
+        record = [len(properties), *(word for key, place in properties.items() for word in (number[key], 1, place))]
+        plain += record + [0] * (len(record) % 2)
+    regions = [np.array(words, dtype="<u4").tobytes() for words in (classes, [0, 0], records, plain, [0, 0])]
+    text_of_names = "\0".join([*names, ""]).encode()
+    text_of_names += bytes(-len(text_of_names) % 8)
+    ends = np.cumsum([40 + len(text_of_names), *map(len, regions), 0, 0]).tolist()
+    words = np.array([version, len(names), *ends], dtype="<u4").tobytes() + text_of_names + b"".join(regions)
+    words = sized(9, "", (len(words), 1), element(2, words))
+    wrapper = cells(words, matrix(np.zeros((0, 0))), *values, *[cells()] * 3)
+    wrapper = variable(17, element(1, b"MCOS"), element(1, b"MCOS"), element(1, b"FileWrapper__"), wrapper)
+    names = element(5, struct.pack("<i", 8)), element(1, b"MCOS".ljust(8, b"\0"))
+    inner = sized(2, "", (1, 1), *names, wrapper)
+    content = b"\x00\x01IM" + bytes(4) + inner
+    return sized(9, "", (len(content), 1), element(2, content))
+
+
+def reference(number, kind, name=None):
+    """A variable that is the object ``number`` of the class number ``kind``, or a cell that refers to it."""
+    numbers = np.array([0xDD000000, 2, 1, 1, number, kind], dtype="<u4")
+    content = sized(13, "", (6, 1), element(6, numbers.tobytes()))
+    if name is None:
+        return content
+    title, label = name
+    return variable(17, element(1, label.encode()), element(1, b"MCOS"), element(1, title.encode()), content)
+
+
+def structure(**fields):
+    names = b"".join(key.encode().ljust(32, b"\0") for key in fields)
+    return sized(2, "", (1, 1), element(5, struct.pack("<i", 32)), element(1, names), *fields.values())
+
+
+def table_of(times, rows=K, **changes):
+    content = {
+        "data": cells(matrix(X), matrix(U)), "varNames": cells(text("x"), text("u")), "numRows": matrix([[rows]]),
+        "rowTimes": times, "useVarNamesOrig": matrix([[0]]),
+    } | changes  # fmt: skip
+    return structure(**content)
+
+
+DURATION = matrix(1000 * TIME[:, None])
+DATES = 1.7e12 + 1000 * TIME
+DATE = sized(6, "", (K, 1), element(9, DATES.tobytes()), element(9, (0.5 * (TIME > 0)).tobytes()), flags=0x800)
+STEPS = structure(
+    origin=reference(2, 2), specifiedAsRate=matrix([[0]]), stepSize=reference(2, 2), sampleRate=matrix([[np.nan]])
+)
+RATE = structure(
+    origin=reference(2, 2), specifiedAsRate=matrix([[1]]), stepSize=matrix([[0]]), sampleRate=matrix([[4]])
+)
+
+
+@pytest.mark.parametrize(
+    "kind, property_name, time, times",
+    [
+        ("duration", "millis", DURATION, reference(2, 2)),
+        ("datetime", "data", matrix(DATES[:, None]), reference(2, 2)),
+        ("duration", "millis", matrix([[250.0]]), STEPS),
+        ("duration", "millis", matrix([[250.0]]), RATE),
+    ],
+    ids=["durations", "dates", "a step", "a rate"],
+)
+@pytest.mark.parametrize("version", [2, 3, 4])
+def test_timetables(kind, property_name, time, times, version, tmp_path):
+    objects = ("timetable", {"any": 0}), (kind, {property_name: 1})
+    values = [table_of(times), time, *[cells()] * (4 - version)]
+    whole = store(*objects, values=values, version=version)
+    recording = R.read(version5(tmp_path / "a.mat", reference(1, 1, ("timetable", "log")), whole))
+    assert np.array_equal(recording.states[0], X) and np.array_equal(recording.inputs[0], U) and recording.dt == 0.25
+
+
+def test_dates_keep_what_a_float_cannot_hold(tmp_path):
+    """An instant is the sum of the real part and the imaginary part, in ms."""
+    whole = store(("timetable", {"any": 0}), ("datetime", {"data": 1}), values=[table_of(reference(2, 2)), DATE])
+    source = matlab.open_table(version5(tmp_path / "a.mat", reference(1, 1, ("timetable", "log")), whole))
+    table = source.read(Roles("time", ["x1"], [], None, None, {}))[0]
+    assert np.allclose(np.diff(table["time"]), [0.2505, *[0.25] * 5], rtol=1e-12)
+
+
+def test_a_table_has_columns_and_a_timeseries_its_time(tmp_path):
+    values = [cells(matrix(X), matrix(U)), cells(text("x"), text("u"))]
+    whole = store(("table", {"data": 0, "varnames": 1}), values=values)
+    recording = R.read(version5(tmp_path / "a.mat", reference(1, 1, ("table", "log")), whole), dt=0.25)
+    assert np.array_equal(recording.states[0], X) and np.array_equal(recording.inputs[0], U)
+    info = {"Start": 2, "Increment": 3, "Length": 4}
+    values = [matrix(X), reference(2, 2), matrix([[1.0]]), matrix([[0.25]]), matrix([[K]]), matrix(U)]
+    values.append(matrix(TIME[:, None] + 1))
+    objects = ("timeseries", {"Data_": 0, "TimeInfo": 1}), ("tsdata.timemetadata", info)
+    whole = store(*objects, ("timeseries", {"Data_": 5, "Time_": 6}), values=values)
+    series = reference(1, 1, ("timeseries", "x")), reference(3, 1, ("timeseries", "u"))
+    recording = R.read(version5(tmp_path / "a.mat", *series, whole))
+    assert np.array_equal(recording.states[0], X) and np.array_equal(recording.inputs[0], U) and recording.dt == 0.25
+
+
+HOLDS_ITSELF = [table_of(reference(1, 1)), DURATION]
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        HOLDS_ITSELF,
+        [table_of(reference(9, 2)), DURATION],
+        [table_of(reference(2, 1)), DURATION],
+        [table_of(STEPS, rows=1e12), matrix([[1.0]])],
+        [table_of(STEPS, rows=np.inf), matrix([[1.0]])],
+        [table_of(reference(2, 2), data=cells(matrix(X[:3]), matrix(U[:3]))), DURATION],
+        [table_of(reference(2, 2), data=cells(matrix(X))), DURATION],
+        [table_of(reference(2, 2), varNames=cells(matrix(X), matrix(U))), DURATION],
+        [table_of(reference(2, 2)), text("noon")],
+        [table_of(reference(2, 2))],
+        [cells()] * 2,
+        [],
+    ],
+)
+def test_objects_that_do_not_fit_are_left_out_with_advice(values, tmp_path):
+    whole = store(("timetable", {"any": 0}), ("duration", {"millis": 1}), values=values)
+    path = version5(tmp_path / "a.mat", reference(1, 1, ("timetable", "log")), whole)
+    with pytest.raises(tras.RecordingError, match=r"(?s)left out: log .an object .timetable.*timetable2table\(log\)"):
+        R.read(path)
+
+
+def test_many_variables_that_are_one_object_cost_one(tmp_path):
+    """Each would be a time of its own: 20 000 times 100 000 numbers."""
+    rows = 10**5
+    content = table_of(STEPS, rows, data=cells(matrix(np.zeros((rows, 1))), matrix(np.zeros((rows, 1)))))
+    whole = store(("timetable", {"any": 0}), ("duration", {"millis": 1}), values=[content, matrix([[250.0]])])
+    labels = [reference(1, 1, ("timetable", f"log{i}")) for i in range(20_000)]
+    tables = matfile5.read_variables(version5(tmp_path / "a.mat", *labels, whole).read_bytes())
+    assert len(tables) == 20_000 and len({id(table["time"]) for table in tables.values()}) == 1

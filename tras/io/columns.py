@@ -105,7 +105,8 @@ class Table(NamedTuple):
             f"{len(time) - len(rows)} of {owner!r}" for owner, time in zip(owners, times) if len(time) > len(rows)
         ]
         dropped = f"; rows left out: {', '.join(counts)}" if counts else ""
-        remarks.append(f"signals with times of their own are joined at the {len(rows)} instants that all have{dropped}")
+        remark = f"signals with times of their own are joined at the {len(rows)} instants that all have{dropped}"
+        remarks += [] if remark in remarks else [remark]  # tables are read more than once
         return {number: _nearest(time, times[0][rows]) for number, time in zip(needed, times)}
 
 

@@ -1,5 +1,7 @@
 """Tables in memory: a pandas DataFrame as the `Source` of a recording."""
 
+import datetime
+
 import numpy as np
 
 from tras.io.limits import Source, check_size, one_line
@@ -38,12 +40,29 @@ def open_table(frame) -> Source:
     units = frame.attrs.get("units", {})
     units = units if isinstance(units, dict) else {}
     units = {name: unit for name, unit in units.items() if name in columns and isinstance(unit, str)}
+    units |= {name: "s" for name, column in columns.items() if _is_instant(column)}  # read in s since the first
 
     def read(roles):
         names = [name for name in columns if name in (roles.time, roles.trial, *roles.states, *roles.inputs)]
         return [{name: _column(columns[name], name, roles) for name in names}]
 
     return Source(list(columns), units, read, lambda _, row: f"row {row} ({str(index[row])[:40]})")
+
+
+def _is_instant(column):
+    """Whether a column holds dates, times of day or durations, as pandas or as texts have them."""
+    import pandas
+
+    types = pandas.api.types
+    if types.is_datetime64_any_dtype(column) or types.is_timedelta64_dtype(column):
+        return True
+    first = next((value for value in column.iloc[:1000] if isinstance(value, str)), None)
+    if types.is_numeric_dtype(column) or first is None:
+        return False
+    try:
+        return datetime.datetime.fromisoformat(first.strip()) is not None
+    except ValueError:
+        return False
 
 
 def _column(column, name, roles):

@@ -2,8 +2,8 @@
 
 `scipy.io.loadmat` does not serve here: of 20 000 damaged files it crashed the process on 59 and hung on 2, and a check
 of sizes by `scipy.io.whosmat` still leaves 39 crashes. This reader allocates no more than the file's own content. It
-passes over function handles, objects, sparse and complex numbers; of an object of the old kind, such as an iddata, it
-reads the plain fields. Layout: MathWorks, "MAT-File Format".
+passes over function handles, sparse and complex numbers, and objects but for the plain fields of those of the old kind,
+such as an iddata, and of a few of the new kind (`tras.io.mcos`). Layout: MathWorks, "MAT-File Format".
 """
 
 import struct
@@ -11,6 +11,7 @@ import zlib
 
 import numpy as np
 
+from tras.io import mcos
 from tras.io.limits import MAX_COLUMNS, MAX_DEPTH, MAX_PARTS, MAX_VALUES, TOO_NESTED
 from tras.io.roles import RecordingError
 from tras.io.workspace import Instance, Unread
@@ -28,7 +29,7 @@ def read_variables(content: bytes) -> dict:
     endian = {b"IM": "<", b"MI": ">"}.get(content[126:128])
     if endian is None or struct.unpack(endian + "H", content[124:126])[0] != 0x0100:
         raise RecordingError("it is no MATLAB file of version 4 to 7.3; save it with -v7 or -v7.3.")
-    reader, variables, position = _Reader(endian), {}, 128
+    reader, variables, position, store = _Reader(endian), {}, 128, None
     content = memoryview(content)
     while position < len(content):
         kind, body, position = reader.element(content, position, padded=False)
@@ -41,7 +42,22 @@ def read_variables(content: bytes) -> dict:
             raise _damage(f"the variable {name!r} is there twice")
         if name:
             variables[name] = value
-    return variables
+        elif isinstance(value, np.ndarray):
+            store = value
+    return variables if store is None else mcos.resolved(variables, _objects(store))
+
+
+def _objects(content):
+    """The cells of the unnamed variable at a file's end, which is a file in the file; None if it is none."""
+    content = memoryview(content.astype(np.uint8).tobytes(order="F"))
+    endian = {b"IM": "<", b"MI": ">"}.get(bytes(content[2:4]))
+    try:
+        _, body, _ = _Reader(endian or "<").element(content, 8)
+        _, value = _Reader(endian or "<").matrix(body, 0)
+    except RecordingError:
+        return None
+    wrapper = value.get("MCOS") if isinstance(value, dict) else None
+    return wrapper.content if isinstance(wrapper, Unread) else None
 
 
 def _damage(what):
@@ -97,13 +113,25 @@ class _Reader:
         if number == _OPAQUE:  # its content lies elsewhere in the file, in an order that MathWorks does not publish
             name, position = self.text(body, position)
             _, position = self.text(body, position)
-            kind, _ = self.text(body, position)
-            return name, Unread(f"an object ({kind[:60]})", kind[:60])
+            kind, position = self.text(body, position)
+            try:
+                content = self.inner(body, position, depth)[0]
+            except RecordingError:
+                content = None
+            return name, Unread(f"an object ({kind[:60]})", kind[:60], content)
         dims, position = self.numbers(body, position)
         name, position = self.text(body, position)
         if number in (_SPARSE, _HANDLE) or is_complex:
-            words = {_SPARSE: "a sparse matrix", _HANDLE: "a function handle"}
-            return name, Unread(words.get(number, "complex numbers"))
+            if number in (_SPARSE, _HANDLE):
+                return name, Unread("a sparse matrix" if number == _SPARSE else "a function handle")
+            real, position = self.numbers(body, position)
+            imaginary, position = self.numbers(body, position)
+            if real.size != imaginary.size or real.size != np.prod(dims, dtype=object):
+                raise _damage(f"variable {name!r} has complex numbers that do not fit its size")
+            self.values += 2 * real.size
+            if self.values > MAX_VALUES:
+                raise RecordingError(f"it has more than {MAX_VALUES} values.")
+            return name, Unread("complex numbers", content=real + 1j * imaginary)
         dims = [int(d) for d in dims]
         if len(dims) < 2 or any(d < 0 for d in dims):
             raise _damage(f"variable {name!r} has the size {dims}")
@@ -125,7 +153,8 @@ class _Reader:
             value, position = self.numbers(body, position)
             if len(value) != count:
                 raise _damage(f"variable {name!r} has {len(value)} numbers but the size {dims}")
-            value = value.astype(float).reshape(dims, order="F")
+            is_store = not name and not depth  # bytes of a file in the file
+            value = (value if is_store else value.astype(float)).reshape(dims, order="F")
         else:
             raise _damage(f"variable {name!r} is of kind {number}, which MATLAB does not have")
         if position != len(body):

@@ -5,6 +5,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from tras.io import mcos
 from tras.io.limits import MAX_DEPTH, MAX_PARTS, MAX_VALUES, TOO_NESTED, check_heaps, one_line
 from tras.io.roles import RecordingError
 from tras.io.workspace import Instance, Unread
@@ -23,7 +24,10 @@ def read_variables(path: Path) -> dict:
     budget = {"parts": 0, "values": 0}
     try:
         with h5py.File(path, "r") as file:
-            return {name: _value(_member(file, name), name, 0, budget) for name in file if not name.startswith("#")}
+            variables = {name: _value(_member(file, name), name, 0, budget) for name in file if name[:1] != "#"}
+            store = file.get("#subsystem#/MCOS")
+            is_store = isinstance(store, h5py.Dataset) and h5py.check_ref_dtype(store.dtype)
+            return mcos.resolved(variables, _cells(store, "objects", 0, budget)) if is_store else variables
     except RecordingError:
         raise
     except _DAMAGE as error:
@@ -48,7 +52,8 @@ def _value(item, name, depth, budget):
     if "MATLAB_object_decode" in item.attrs:  # of the old kind (2), such as an iddata, a struct; others are opaque
         if isinstance(item, h5py.Group) and item.attrs["MATLAB_object_decode"] == 2:
             return Instance(kind, _fields(item, name, depth, budget))
-        return Unread(f"an object ({kind[:60]})", kind[:60])
+        content = _dataset(item, "", name, depth, budget) if isinstance(item, h5py.Dataset) else None
+        return Unread(f"an object ({kind[:60]})", kind[:60], content)
     if isinstance(item, h5py.Group):
         return _struct(item, name, depth, budget)
     return _dataset(item, kind, name, depth, budget)
@@ -81,7 +86,14 @@ def _dataset(item, kind, name, depth, budget):
     if h5py.check_ref_dtype(item.dtype):
         return _cells(item, name, depth, budget)
     if item.dtype.names:
-        return Unread("complex numbers" if set(item.dtype.names) == {"real", "imag"} else "compound values")
+        if set(item.dtype.names) != {"real", "imag"}:
+            return Unread("compound values")
+        parts = None
+        budget["values"] += 2 * item.size
+        if budget["values"] <= MAX_VALUES:
+            parts = np.asarray(item[()]).T
+            parts = parts["real"].astype(float) + 1j * parts["imag"].astype(float)
+        return Unread("complex numbers", content=parts)
     if item.dtype.kind not in "biuf" or (kind and kind not in (*_NUMERIC, "char")):
         return Unread(f"of class {str(kind or item.dtype)[:60]}")
     budget["values"] += item.size

@@ -6,10 +6,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Unread:
-    """It stands where a file has a value that is not read: ``what`` it is, and of an object the class ``kind``."""
+    """It stands where a file has a value that is not read: ``what`` it is, and of an object the class ``kind``.
+
+    ``content`` is what stands in its place in the file: complex numbers, the number of an object.
+    """
 
     what: str
     kind: str = ""
+    content: object = None
 
 
 class Instance(dict):
