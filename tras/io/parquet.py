@@ -40,6 +40,9 @@ def open_table(path: Path) -> Source:
         header = json.loads((schema.metadata or {}).get(_KEY, b"null"))
         metadata = {name: schema.field(name).metadata or {} for name in names}
         units = {name: entry.get(b"units", entry.get(b"unit", b"")).decode("utf-8") for name, entry in metadata.items()}
+        units |= {
+            name: "s" for name in names if types.is_timestamp(schema.field(name).type)
+        }  # read in s since the first
     numbers = [int(entry[_ID]) for entry in metadata.values() if entry.get(_ID, b"").isdigit()]
     if header is None and any(0 <= number - _FIRST < MAX_COLUMNS for number in numbers):
         raise RecordingError("it is a tras recording that has lost its own description: it is damaged; write it again.")
