@@ -36,7 +36,7 @@ CHECKED = ("own.nc", "own.parquet", "own.mat")
 # Of files whose columns have no plain names.
 ROLES = {
     "to_file.mat": {"time": "ans1", "inputs": "ans2", "states": ["ans3", "ans4"]},
-    "scopes.mat": {"states": ["angle.x1", "angle.x2"], "inputs": "control.u"},
+    "scopes.mat": {"states": ["x1", "x2"], "inputs": "u"},
 }
 PATIENCE = 10  # s
 WRONG = ("crash", "hang", "traceback")

@@ -407,13 +407,35 @@ def test_scopes_are_joined_by_their_own_times(tmp_path):
     longer = np.r_[-0.25, TIME], np.vstack([[[9.0]], U])
     content = {"Ctrl": scope(longer[0], longer[1], labels=["Pitch Control"]), "Angle": scope(TIME, X)}
     savemat(tmp_path / "a.mat", content)
-    roles = {"states": ["Angle.signals1_1", "Angle.signals1_2"], "inputs": ["Ctrl.Pitch Control"]}
+    roles = {"states": ["Angle.signals1_1", "Angle.signals1_2"], "inputs": ["Pitch Control"]}
     recording = R.read(tmp_path / "a.mat", roles)
     assert np.array_equal(recording.states[0], X) and np.array_equal(recording.inputs[0], U)
     assert recording.dt == 0.25
     assert "joined at the 7 instants that all have; rows left out: 1 of 'Ctrl'" in sentences(recording)
-    alone = R.read(tmp_path / "a.mat", {"states": ["Ctrl.Pitch Control"], "inputs": []})
+    alone = R.read(tmp_path / "a.mat", {"states": ["Pitch Control"], "inputs": []})
     assert len(alone.states[0]) == 8
+
+
+PITCH = ["Pitch & Reference1", "Pitch & Reference2"]  # which is which the label need not say
+
+
+def test_labels_of_scopes_are_names_where_they_are_one_signal(tmp_path):
+    longer, both = np.r_[-0.25, TIME], ["Pitch & Reference", ""]
+    content = {
+        "A": scope(TIME, X, X**2, labels=both), "B": scope(longer, np.r_[[[0.0, 0.0]], X], labels=both),
+        "E": scope(longer, np.r_[[[0.0, 0.0]], X**2]),
+        "C": scope(TIME, U, labels=["Speed"]), "D": scope(TIME, X[:, 1:], labels=["Speed"]),
+    }  # fmt: skip
+    savemat(tmp_path / "a.mat", content)
+    source = matlab.open_table(tmp_path / "a.mat")
+    assert source.names == ["time", *PITCH, "A.signals2_1", "A.signals2_2", "C.Speed", "D.Speed"]
+    assert "left out: B.Pitch & Reference, the same as A.Pitch & Reference" in source.remarks
+    assert "left out: E.signals1, the same as A.signals2" in source.remarks
+    with pytest.raises(
+        tras.RecordingError, match="Reference2, A.signals2_1, A.signals2_2 move and nothing says what they"
+    ):
+        R.read(tmp_path / "a.mat", {"inputs": ["C.Speed"]})
+    assert R.read(tmp_path / "a.mat", {"states": PITCH, "inputs": ["C.Speed"]}).n == 2
 
 
 def test_a_scope_with_decimation_gives_the_common_grid(tmp_path):
@@ -434,7 +456,7 @@ def test_scopes_without_a_common_time(tmp_path):
 def test_matrices_beside_scopes_have_the_time_of_the_scope_of_their_length(tmp_path):
     content = {"log": scope(TIME, X, labels=["x"]), "u": U, "t": TIME, "gain": np.eye(2)}
     savemat(tmp_path / "a.mat", content)
-    recording = R.read(tmp_path / "a.mat", {"states": ["log.x1", "log.x2"], "inputs": ["u"]})
+    recording = R.read(tmp_path / "a.mat", {"states": ["x1", "x2"], "inputs": ["u"]})
     assert np.array_equal(recording.inputs[0], U) and "left out: gain, of another length" in sentences(recording)
 
 
@@ -454,6 +476,16 @@ def test_matrices_of_a_model_beside_the_signals_do_not_turn_them(tmp_path):
         recording = R.read(tmp_path / "a.mat", {"states": ["x1", "x2"]} if "u" in signals else {"inputs": []})
         assert np.array_equal(recording.states[0], X) and recording.m == ("u" in signals)
         assert "left out: B, of another length than the rest" in sentences(recording)
+
+
+def test_x_beside_y_without_u_is_a_question(tmp_path):
+    """Sets for learning call the input x. As two states they would be a free motion."""
+    savemat(tmp_path / "a.mat", {"X": U, "y": X[:, :1], "dt": 0.25})
+    with pytest.raises(tras.RecordingError, match="(?s)X may be the input, as there is y and no u.*STATES=y INPUTS=X"):
+        R.read(tmp_path / "a.mat")
+    assert R.read(tmp_path / "a.mat", {"inputs": []}).state_names == ("X", "y")
+    savemat(tmp_path / "a.mat", {"x": X, "y": U, "z": U, "dt": 0.25})
+    assert R.read(tmp_path / "a.mat").n == 4
 
 
 def test_a_short_trial_stands_as_the_first_one_does(tmp_path):

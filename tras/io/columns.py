@@ -1,5 +1,6 @@
 """From the variables of a MATLAB workspace to tables: which axis is time, whose time it is, what is the test set."""
 
+import collections
 import re
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ _PART = re.compile(
     rf"(?:|(?P<stem1>.*?)_|(?P<stem2>[uyxzt]\d?)|(?P<stem3>.*[a-z0-9])(?=[A-Z]))(?P<word1>(?i:{_FIT}|{_TEST}))"
     rf"|(?P<word2>(?i:{_FIT}|{_TEST}))(?:_(?P<stem4>.+)|(?P<stem5>[A-Z].*))"
 )
+_COMPARED = 50  # signals that the next one is compared with
 _AGREE = 0.01  # of the shortest step: how far two stamps of the same instant may be apart
 
 
@@ -124,7 +126,7 @@ def tables(trials: list[dict], remarks: list) -> list[Table]:
     for trial in trials:
         entries = []
         _collect(trial, "", None, "", entries)
-        table, widths = _table(entries, widths, odd)
+        table, widths = _table(_short(entries, odd), widths, odd)
         tables.append(table)
     remarks += [f"left out: {name}, {why}" for name, why in sorted(odd.items())]
     return tables
@@ -225,13 +227,57 @@ def _collect(content, prefix, time, owner, entries):
         elif key == "signals" and is_logged(content):
             for i, signal in enumerate([inner] if isinstance(inner, dict) else inner):
                 label = signal.get("label") if isinstance(signal, dict) else None
-                name = label if isinstance(label, str) and label else f"signals{i + 1}"
                 values = _array(signal.get("values") if isinstance(signal, dict) else None, key)
-                entries.append((f"{prefix}{name}", values, time, owner))
+                label = label.strip() if isinstance(label, str) else ""
+                entries.append((_Label(prefix, label, i + 1), values, time, owner))
         elif isinstance(inner, dict) and not is_iddata(inner):
             _collect(inner, f"{prefix}{key}.", time, owner, entries)
         elif isinstance(inner, np.ndarray) and inner.size > 1:
             entries.append((f"{prefix}{key}", inner, time, owner))
+
+
+class _Label(NamedTuple):
+    """The name of a signal in one of Simulink's scopes: the scope's prefix, its label or "", and its number."""
+
+    prefix: str
+    label: str
+    number: int
+
+
+def _short(entries, odd):
+    """The entries with names: a label as it is if one signal has it, else with its scope; the same signal once."""
+    plain = {name for name, *_ in entries if not isinstance(name, _Label)}
+    kept = []
+    for name, *signal in entries:
+        if isinstance(name, _Label):
+            logged = [entry for entry in kept[:_COMPARED] if isinstance(entry[0], _Label)]
+            alike = (entry[0] for entry in logged if entry[0].label == name.label and _same_signal(entry[1:], signal))
+            if other := next(alike, None):
+                odd[_long(name)] = f"the same as {_long(other)}"
+                continue
+        kept.append((name, *signal))
+    counts = collections.Counter(name.label for name, *_ in kept if isinstance(name, _Label))
+    for i, (name, *signal) in enumerate(kept):
+        if isinstance(name, _Label):
+            is_alone = name.label and counts[name.label] == 1 and name.label not in plain
+            kept[i] = (name.label if is_alone else _long(name), *signal)
+    return kept
+
+
+def _long(name):
+    return f"{name.prefix}{name.label or f'signals{name.number}'}"
+
+
+def _same_signal(signal, other_signal):
+    """Whether two logs (array, time, owner) agree wherever both have a sample, and most of the time both have."""
+    (array, time, _), (other, other_time, _) = signal, other_signal
+    if array.ndim != 2 or other.ndim != 2 or array.shape[1] != other.shape[1] or time is None or other_time is None:
+        return False
+    if len(array) != len(time) or len(other) != len(other_time):
+        return False
+    common, rows, other_rows = np.intersect1d(time, other_time, return_indices=True)
+    enough = 2 * len(common) > min(len(time), len(other_time))
+    return enough and np.array_equal(array[rows], other[other_rows], equal_nan=True)
 
 
 def _own_time(content, prefix):
