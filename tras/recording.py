@@ -440,7 +440,8 @@ class Recording:
     def _of(self, states, inputs, origins):
         """`with_data` of trajectories that come from those with the numbers ``origins``: the test set stays one."""
         new = self.with_data(states, inputs)
-        new._hold_back([i for i, origin in enumerate(origins) if origin in self.attributes.get(_TEST, ())])
+        held_back = self._held_back()
+        new._hold_back([i for i, origin in enumerate(origins) if origin in held_back])
         return new
 
     def with_data(self, states: list[np.ndarray], inputs: list[np.ndarray], **labels) -> "Recording":
@@ -453,6 +454,11 @@ class Recording:
         if len(states) != len(self):
             new._hold_back([])  # the numbers were those of other trajectories
         return new
+
+    def _held_back(self):
+        """Numbers of the trajectories for the test; a file may hold anything under this name."""
+        numbers = self.attributes.get(_TEST)
+        return [i for i in range(len(self)) if i in numbers] if isinstance(numbers, list) else []
 
     def _hold_back(self, numbers):
         """State which trajectories are for the test."""
@@ -484,9 +490,7 @@ def join(recordings: Recording | Iterable[Recording]) -> Recording:
     for i, other in enumerate(recordings[1:], start=1):
         require_alike(first, other, i)
     joined = first.with_data([x for r in recordings for x, _ in r], [u for r in recordings for _, u in r])
-    joined._hold_back(
-        [k for r, before in _offsets(recordings) for k in (before + i for i in r.attributes.get(_TEST, ()))]
-    )
+    joined._hold_back([k for r, before in _offsets(recordings) for k in (before + i for i in r._held_back())])
     return joined
 
 
