@@ -412,6 +412,8 @@ def test_scopes_are_joined_by_their_own_times(tmp_path):
     assert np.array_equal(recording.states[0], X) and np.array_equal(recording.inputs[0], U)
     assert recording.dt == 0.25
     assert "joined at the 7 instants that all have; rows left out: 1 of 'Ctrl'" in sentences(recording)
+    for own in ("Angle.time", "Ctrl.time", "time"):
+        assert R.read(tmp_path / "a.mat", {**roles, "time": own}).lengths.tolist() == [7]
     alone = R.read(tmp_path / "a.mat", {"states": ["Pitch Control"], "inputs": []})
     assert len(alone.states[0]) == 8
 

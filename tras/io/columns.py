@@ -66,7 +66,7 @@ class Table(NamedTuple):
 
     channels: dict
     times: list
-    owners: list  # of the times: the name of the first variable that has it
+    owners: list  # of the times: the variable that has it
     rows: int
 
     @property

@@ -118,7 +118,9 @@ def _roles(source, header, spec, paths):
             if in_table
             else {"time": None, "trial": None, "dt": header["dt"]}
         )
-    elif source.roles:
+    else:
+        if isinstance(spec.get("time"), str):
+            spec["time"] = source.aliases.get(spec["time"], spec["time"])
         spec = _with_those_of_the_file(spec, source)
     cache = {}
 

@@ -78,6 +78,7 @@ def _source(variables):
         names, says.get("units", {}), lambda roles: [table.read(roles, remarks) for table in tables],
         _locate if len(tables) > 1 else lambda _, row: f"row {row + 1}", dt=_only_step(steps), remarks=remarks,
         roles={key: says[key] for key in ("states", "inputs") if says}, test=test,
+        aliases={f"{owner}.time": "time" for table in tables for owner in table.owners},
         attributes={"intersample": says["intersample"]} if says.get("intersample") else {},
     )  # fmt: skip
 
