@@ -57,10 +57,9 @@ def read(paths, roles=None, *, dt=None, test=None, wishes=sampling.AS_IT_IS) -> 
     if held_back:
         source = several.with_test(paths, source, [known(path) for path in held_back], list(map(_opened, held_back)))
     header = _checked(source.header) if source.header is not None and roles is None and dt is None else None
+    source = source._replace(dt=header["dt"]) if header else source
     columns, guesses = _roles(source, header, mapping(roles) | ({} if dt is None else {"dt": dt}), paths)
-    x, u, step, noticed, origins = sampling.trajectories(
-        source.read(columns), columns, source.locate, dt=header["dt"] if header else source.dt, wishes=wishes
-    )
+    x, u, step, noticed, origins = sampling.trajectories(source.read(columns), columns, source.locate, wishes=wishes)
     if header and wishes.resample is None:
         step = header["dt"] * wishes.decimate
     content = {"states": x, "inputs": u, "dt": step, "state_names": columns.states, "input_names": columns.inputs}
