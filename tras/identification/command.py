@@ -32,7 +32,8 @@ def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     root = project_root(Path(__file__).parent)
     try:
-        options.recording, options.test = _files("RECORDING", options.recording), _files("TEST", options.test)
+        typed = {"RECORDING": options.recording, "TEST": options.test}
+        options.recording, options.test = (_files(name, text) for name, text in typed.items())
         more = f"_and_{len(options.recording) - 1}_more" if len(options.recording) > 1 else ""
         out = options.out or root / "build" / "identify" / (options.recording[0].stem + more)
         parameters = _parameters(options, out, root)
@@ -43,7 +44,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     except RunError as error:
         plain = error.name in _SENTENCES
-        print(_advised(error.words, options, root) if plain else error, file=sys.stderr)
+        print(_advised(error.words, options, typed) if plain else error, file=sys.stderr)
         return 2 if plain else 1
     except OSError as error:
         print(f"{error.filename}: {error.strerror}" if error.filename else error, file=sys.stderr)
@@ -61,26 +62,28 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"{message}; see python -m tras.identification.command --help.\n")
 
 
-def _advised(words, options, root):
+def _advised(words, options, typed):
     """The sentence, with the variables of make that it asks for, and in its command all that was given before."""
     lines = []
     for line in words.split("\n"):
         if line.startswith("  make identify RECORDING="):
-            line = line.replace(f"{root}/", "") + "".join(f" {word}" for word in _others(options))
+            others = dict(typed, RECORDING="") | dict(_others(options))
+            recording = f"RECORDING={shlex.quote(typed['RECORDING'].replace('$', '$$'))}"
+            line = f"  make identify {recording}{line[line.index(' TIME=') :]}"
+            line += "".join(f" {name}={shlex.quote(text)}" for name, text in others.items() if text)
         lines.append(line)
     hint = " With make: RESAMPLE=, for example RESAMPLE=0.01." if "resample=" in words else ""
     return "\n".join(lines) + hint
 
 
 def _others(options):
-    """The options that are no roles, as variables of make, where they are not the defaults."""
+    """(variable of make, text) of the options that are no roles or files, where they are not the defaults."""
     defaults = vars(_parser().parse_args(["-"]))
-    roles = ("recording", "roles", "states", "inputs", "time", "trial", "dt")
+    roles = ("recording", "test", "roles", "states", "inputs", "time", "trial", "dt")
     names = {"start": "FROM", "end": "TO"}
     for name, value in vars(options).items():
         if name not in roles and value != defaults[name] and value not in ([], None):
-            text = ("," if name == "delays" else " ").join(map(str, value)) if isinstance(value, list) else str(value)
-            yield f"{names.get(name, name.upper())}={shlex.quote(text)}"
+            yield names.get(name, name.upper()), ",".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def _parser():

@@ -114,7 +114,7 @@ def grid(times: list) -> tuple[float, float, float]:
         return max((rest.max() - rest.min()) / 2 for rest in rests)
 
     grain = 4 * np.spacing(max(float(np.abs(t).max()) for t in times))  # far from zero, stamps are rounded
-    limit = 1.5 * worst(step) + grain
+    limit = 1.2 * worst(step) + grain
     rounded = (float(f"{step:.{digits}e}") for digits in range(15))
     step = next((plain for plain in rounded if worst(plain) <= limit), step)
     return step, float(worst(step)), _quantum([t for t in times if len(t) > 1])
@@ -129,7 +129,7 @@ def is_rounded(steps: np.ndarray, step: float, deviation: float, quantum: float)
     >>> is_rounded(steps, 0.005, 0.0025, 0.01), is_rounded(np.r_[np.ones(50), 2.0], 1.02, 0.5, 1.0)
     (True, False)
     """
-    if not quantum or deviation > 0.55 * quantum + 1e-9 * step:
+    if not quantum or deviation > 0.65 * quantum + 1e-9 * step:
         return False
     quanta = np.round(steps / quantum)
     low = np.floor(step / quantum + 1e-9)

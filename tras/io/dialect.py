@@ -177,7 +177,7 @@ def _columns_of_numbers(rows, width):
 
 def _above(lines, rows, numbers, width, separator, brackets):
     """Names and units from the rows above the numbers, the rest of these rows, and where the names stood."""
-    filled = max((i + 1 for row in numbers for i, cell in enumerate(row) if cell), default=width)
+    filled = min(width, max((i + 1 for row in numbers for i, cell in enumerate(row) if cell), default=width))
     header, k = [], len(rows)
     while k and len(header) < 3:
         line, row = rows[k - 1]
@@ -253,7 +253,8 @@ def names_and_units(labels: list[str], separator: str | None = None) -> tuple[li
     for label in labels:
         match = _IN_BRACKETS.fullmatch(label)
         if separator == "|" and "," in label and (padded := _PADDED.fullmatch(label)):
-            pairs.append((padded[1], padded[2]))
+            is_time = padded[2] == "time"  # `_real,_time`: the second word is no unit
+            pairs.append((f"{padded[1]} time", None) if is_time else (padded[1], padded[2]))
         elif match and not match[2].strip().isdigit():
             pairs.append((match[1].strip(), match[2].strip()))
         else:
@@ -269,7 +270,7 @@ def names_and_units(labels: list[str], separator: str | None = None) -> tuple[li
 
 
 def _decimal(rows):
-    """The decimal sign of these rows: a comma (not of thousands), "?" if that is not clear, "." or "" if none."""
+    """The decimal sign of these rows: a comma that is none of thousands, "?" if that is open, "." or "" if none."""
     numbers = [cell for row in rows for cell in row if is_number(cell)]
     with_comma = [cell for cell in numbers if "," in cell]
     if not with_comma:

@@ -65,10 +65,9 @@ def read(paths, roles=None, *, dt=None, test=None, wishes=sampling.AS_IT_IS) -> 
 def recording_of(source, paths, roles, *, dt=None, trials=None, wishes=sampling.AS_IT_IS, alone=True) -> dict:
     """As `read`, of an open ``source`` of the files ``paths``; ``trials`` are the test, ``alone``: a single file."""
     header = _checked(source.header) if source.header is not None and roles is None and dt is None else None
+    source = source._replace(dt=header["dt"]) if header else source
     columns, guesses = _roles(source, header, mapping(roles) | ({} if dt is None else {"dt": dt}), paths)
-    x, u, step, noticed, origins = sampling.trajectories(
-        source.read(columns), columns, source.locate, dt=header["dt"] if header else source.dt, wishes=wishes
-    )
+    x, u, step, noticed, origins = sampling.trajectories(source.read(columns), columns, source.locate, wishes=wishes)
     if header and wishes.resample is None:
         step = header["dt"] * wishes.decimate
     content = {"states": x, "inputs": u, "dt": step, "state_names": columns.states, "input_names": columns.inputs}

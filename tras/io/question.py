@@ -32,11 +32,12 @@ def screen(question: Question, paths: list) -> str:
     ]
     hidden = len(rows) - _LINES
     if hidden > 0:  # those with a role stay
-        chosen = sorted(range(len(rows)), key=lambda k: (rows[k][3].startswith("left out"), k))[:_LINES]
+        order = sorted(range(len(rows)), key=lambda k: (rows[k][3].startswith("left out"), "?" in rows[k][3], k))
+        chosen = order[:_LINES]
         rows = [rows[k] for k in sorted(chosen)]
     widths = [max(len(row[i]) for row in rows) for i in range(3)] if rows else []
     lines = ["  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths)) + f"  {row[3]}" for row in rows]
-    lines += [f"  ... and {hidden} more, left out"] if hidden > 0 else []
+    lines += [f"  ... and {hidden} more"] if hidden > 0 else []
     answer = question.answer
     sampling = "" if answer.time or question.args[0].find("no sampling time") < 0 else (
         "There is no column of time: DT=1 counts samples, put your sampling time in s in its place.\n"
@@ -53,7 +54,7 @@ def screen(question: Question, paths: list) -> str:
 
 def command(paths: list, roles: Roles) -> str:
     """The command line of `make identify` that reads these files with these roles."""
-    recording = " ".join(shlex.quote(str(path)) if len(paths) > 1 else str(path) for path in paths)
+    recording = str(paths[0]) if len(paths) == 1 else " ".join(str(path).replace(" ", "\\ ") for path in paths)
     words = {"RECORDING": recording, "TIME": _listed([roles.time]) if roles.time else "none"}
     words |= {"STATES": _listed(roles.states), "INPUTS": _listed(roles.inputs) or "none"}
     words |= {"TRIAL": _listed([roles.trial])} if roles.trial else {}

@@ -40,6 +40,7 @@ class Roles(NamedTuple):
     trial: str | None
     dt: float | None
     units: dict
+    stated: float | None = None  # the sampling time that the file states
 
 
 def assign(
@@ -124,7 +125,7 @@ class _Assignment:
         rest = [name for name in self.names if name not in (*self.taken, time, trial, *steps)]
         states, inputs, open_columns = self.channels(rest)
         dt = self.spec.get("dt", self.dt if time is None else None)
-        roles = Roles(time, states, inputs, trial, dt, self.units | unit)
+        roles = Roles(time, states, inputs, trial, dt, self.units | unit, self.dt)
         if time is None and dt is None:
             self.why.append("no column is plainly time, and no sampling time is given")
         if self.why:
@@ -155,7 +156,8 @@ class _Assignment:
         named = [name for name in self.names if self.kinds[name] == "time"]
         named += [
             name for name in self.names
-            if name not in named and name not in self.taken and self.units.get(name, "").lower() in UNITS_OF_TIME
+            if name not in (*named, *self.taken) and self.units.get(name, "").lower() in UNITS_OF_TIME
+            if self.kinds[name] not in ("step", "trial")
         ]  # fmt: skip
         columns = {name: self.values(name) for name in named}
         rising = [name for name, column in columns.items() if column is None or clock.rises(column)]

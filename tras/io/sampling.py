@@ -58,7 +58,7 @@ class _Place(NamedTuple):
 
 
 @np.errstate(over="ignore", invalid="ignore")  # damaged times may overflow; the result is refused
-def trajectories(tables, roles, locate, *, dt=None, wishes=AS_IT_IS):
+def trajectories(tables, roles, locate, *, wishes=AS_IT_IS):
     """States, inputs and sampling time of a recording, and remarks on changes and constant channels.
 
     Parameters
@@ -66,11 +66,9 @@ def trajectories(tables, roles, locate, *, dt=None, wishes=AS_IT_IS):
     tables : list of dict
         One per trial of the file: name -> (rows,) floats; the column of trials may hold text.
     roles : tras.io.roles.Roles
-        Its ``dt``, if there is one, is the sampling time, whatever the stamps say.
+        Its ``dt``, if there is one, is the sampling time, whatever the stamps say. Stamps must agree with ``stated``.
     locate : callable
         (table, row) -> where that is in the file, as text.
-    dt : float, optional
-        The sampling time in s that the file states beside its column of time.
     wishes : Wishes
 
     Returns
@@ -97,7 +95,7 @@ def trajectories(tables, roles, locate, *, dt=None, wishes=AS_IT_IS):
     else:
         for t, _, _, where in pieces:
             _check_order(t, where, roles)
-        step = wishes.resample or _sampling_time(pieces, roles, dt, wishes.tolerance, remarks)
+        step = wishes.resample or _sampling_time(pieces, roles, wishes.tolerance, remarks)
         if wishes.resample is not None:
             pieces = _resampled(pieces, step, remarks)
     if wishes.decimate > 1:
@@ -204,14 +202,14 @@ def _check_order(t, where, roles):
         )
 
 
-def _sampling_time(pieces, roles, stated, tolerance, remarks):
+def _sampling_time(pieces, roles, tolerance, remarks):
     """The step of the even grid on which the stamps stand within the tolerance, or the one that was given."""
     times = [t for t, *_ in pieces]
     steps = np.concatenate([np.diff(t) for t in times])
     if not steps.size:
-        if roles.dt is None and stated is None:
+        if roles.dt is None and roles.stated is None:
             raise RecordingError("every trajectory has one sample, so there is no sampling time; give dt, in s.")
-        return float(roles.dt or stated)
+        return float(roles.dt or roles.stated)
     step, deviation, quantum = clock.grid(times)
     if roles.dt is not None:
         if not abs(step - roles.dt) <= _STRICT * roles.dt:
@@ -219,9 +217,10 @@ def _sampling_time(pieces, roles, stated, tolerance, remarks):
         return float(roles.dt)
     if not 0 < step < np.inf:
         raise RecordingError(f"the mean step of column {roles.time!r} is {step} s, which is no sampling time.")
-    if stated is not None and abs(step - stated) > _STRICT * stated:
+    if roles.stated is not None and abs(step - roles.stated) > _STRICT * roles.stated:
         raise RecordingError(
-            f"the file states a sampling time of {stated:g} s, but column {roles.time!r} says {step:.6g} s; give dt."
+            f"the file states a sampling time of {roles.stated:g} s, but column {roles.time!r} says {step:.6g} s; "
+            "give dt."
         )
     grain = 4 * np.spacing(max(np.abs(t).max() for t in times))  # far from zero, the time stamps are rounded
     limit = (tolerance if len(steps) >= _FEW else min(tolerance, _STRICT)) * step + grain
@@ -309,7 +308,7 @@ def _decimated(pieces, factor, remarks):
             new.append((None if t is None else t[: count * factor : factor], x[: count * factor : factor], held, where))
     if not new:
         raise RecordingError(f"decimate is {factor}, more than a trajectory has samples; give less.")
-    remarks.append(f"every {factor}th sample of the states is kept, and of the inputs the mean over {factor} samples")
+    remarks.append(f"of every {factor} samples of the states the first is kept, of the inputs the mean")
     return new
 
 

@@ -12,8 +12,10 @@ def joined(paths: list, sources: list) -> Source:
     first = sources[0]
     if all(set(source.names) == set(first.names) for source in sources):
         return _trials(paths, sources)
-    if any(source.header for source in sources):
-        raise RecordingError(f"{_differing(paths, sources)}; recordings of ours need the same channels.")
+    wide = [other for other in sources if len(other.names) > 2]
+    twice = [name for name in first.names if guess_role(name) != "time" and any(name in s.names for s in wide[1:])]
+    if twice or any(source.header for source in sources):
+        raise RecordingError(f"{_differing(paths, sources)}; give files of the same columns, or of one signal each.")
     return _signals(paths, sources)
 
 
@@ -22,13 +24,17 @@ def with_test(paths: list, source: Source, test_paths: list, tests: list) -> Sou
     for path, test in zip(test_paths, tests):
         if not set(source.names) <= set(test.names):
             raise RecordingError(f"{_differing([paths[0], path], [source, test])}; the test needs the same columns.")
-    own, others = _count(source), sum(map(_count, tests))
-    files = [paths[0], *test_paths]
-    return _trials(files, [source, *tests])._replace(
-        header=source.header, test=[*source.test, *range(own, own + others)], remarks=[
-            *source.remarks, f"the test is {', '.join(path.name for path in test_paths)}",
-        ],
-    )  # fmt: skip
+    own, others = _count(source), _trials(test_paths, tests)
+
+    def locate(table, row):
+        return source.locate(table, row) if table < own else others.locate(table - own, row)
+
+    return source._replace(
+        read=lambda roles: [*source.read(roles), *others.read(roles)],
+        locate=locate,
+        test=[*source.test, *range(own, own + sum(map(_count, tests)))],
+        remarks=[*source.remarks, f"the test is {', '.join(path.name for path in test_paths)}"],
+    )
 
 
 def _trials(paths, sources):
@@ -39,9 +45,17 @@ def _trials(paths, sources):
                 raise RecordingError(f"{path.name} has other {label} than {paths[0].name}; make them alike.")
     remarks = [f"{path.name}: {remark}" for path, source in zip(paths, sources) for remark in source.remarks]
     return first._replace(
-        read=lambda roles: [table for source in sources for table in source.read(roles)],
+        read=lambda roles: [table for path, source in zip(paths, sources) for table in _read(path, source, roles)],
         locate=_locator(paths, sources), remarks=[f"{len(paths)} files are trials of one recording", *remarks], test=(),
     )  # fmt: skip
+
+
+def _read(path, source, roles):
+    """The tables of a file; an error names it."""
+    try:
+        return source.read(roles)
+    except RecordingError as error:
+        raise RecordingError(f"{path.name}, {error}") from error
 
 
 def _locator(paths, sources):
@@ -91,7 +105,8 @@ def _signals(paths, sources):
         wanted = [name for name in (*roles.states, *roles.inputs, roles.time) if name in signals]
         start, end = max(t[0] for t in times), min(t[-1] for t in times)
         base = times[signals[wanted[0]][0] if wanted else 0]
-        base = base[(base >= start) & (base <= end)]
+        slack = 1e-6 * np.median(np.diff(base))
+        base = base[(base >= start - slack) & (base <= end + slack)]
         if len(base) < 2:
             raise RecordingError(
                 "the files have no time in common; see whether their clocks begin at the same instant."
@@ -111,7 +126,8 @@ def _at(instants, time, values, *, held):
     if len(time) == len(instants) and np.array_equal(time, instants):
         return values
     if held:
-        return values[np.clip(np.searchsorted(time, instants, side="right") - 1, 0, None)]
+        slack = 1e-6 * np.median(np.diff(time))
+        return values[np.clip(np.searchsorted(time, instants + slack, side="right") - 1, 0, None)]
     return np.interp(instants, time, values)
 
 

@@ -12,7 +12,8 @@ TIME = set(
     "rostime uhrzeit hora clock zeitstempel".split()
 )
 _AROUND_TIME = set(
-    "stamp elapsed sample sampling sim simulation header total ros sys system value values since start s".split()
+    "stamp elapsed sample sampling sim simulation header total totl missn real ros sys system value values since start "
+    "s".split()
 )
 TRIAL = set(
     "trial run episode trajectory traj experiment repetition segment sequence session ensayo versuch essai".split()
@@ -96,7 +97,8 @@ def guess_role(name: str, others=()) -> str | None:
         return None
     if words[0] in TRIAL and all(word in ("id", "no", "nr", "num", "number", "index") for word in words[1:]):
         return "trial"
-    if any(_in(REFERENCE, word) or word.startswith("soll") for word in words):
+    plain = INPUT | STATE
+    if any((_in(REFERENCE, word) and word not in plain) or word.startswith("soll") for word in words):
         return None if says_nothing(name) else "reference"  # a scope of that name may show the state, too
     if words[0] in ("u", "tau", "input", "cmd", "actuator", "actuators") or words[-1] in _CONTROL:
         return "inputs" if not _UNCLEAR & set(words) else None  # u_phi: the input that moves phi
