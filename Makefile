@@ -104,9 +104,9 @@ SWEEP ?= params/sweeps/dictionaries.yaml
 sweep: $(READY) ## many fits, described by SWEEP=params/sweeps/dictionaries.yaml, on this machine's cores or SCHEDULER=tcp://host:8786
 	@$(PY) -m tras.sweeps.command $(SWEEP) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
-# RECORDING=log.csv, and where names are not plain ROLES=roles.yaml or STATES=a,b INPUTS=c TIME=t TRIAL=run; also DT= RESAMPLE= PREDICTOR= DELAYS=
-# SMOOTHING= DRAWS= OUT= (docs/own_rig.md).
-IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL DT RESAMPLE PREDICTOR DELAYS SMOOTHING DRAWS
+# RECORDING=log.csv, "a.csv b.csv" or "run*.csv", and where names are not plain ROLES=roles.yaml or STATES=a,b INPUTS=c TIME=t TRIAL=run; also
+# TEST= FROM= TO= DECIMATE= DT= RESAMPLE= PREDICTOR= DELAYS= SMOOTHING= DRAWS= OUT= (docs/own_rig.md).
+IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL TEST FROM TO DECIMATE DT RESAMPLE PREDICTOR DELAYS SMOOTHING DRAWS
 quoted = '$(subst ','\'',$(1))'
 lower = $(shell printf %s "$(1)" | tr A-Z a-z)
 
