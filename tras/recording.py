@@ -341,11 +341,12 @@ class Recording:
         """
         from tras.io import formats
         from tras.io.roles import RecordingError
+        from tras.workflow.arguments import MissingExtraError
 
         path = formats.known(path)
         try:
             return cls(**formats.read(path, roles, dt=dt, resample=resample, missing=missing, tolerance=tolerance))
-        except FileNotFoundError:
+        except (FileNotFoundError, MissingExtraError):
             raise
         except Exception as error:  # damaged files make the libraries below raise anything
             if path.suffix == ".nc" and not str(error).startswith(str(path)):

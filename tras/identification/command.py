@@ -1,9 +1,9 @@
-"""From a recording to a model: ``make identify RECORDING=path``.
+"""From a recording to a model: ``make identify RECORDING=path``, or where the package is installed ``tras identify``.
 
     python -m tras.identification.command log.csv [--out FOLDER] [--roles roles.yaml] [--delays 0,2,4] ...
 
-Runs ``notebooks/identify.ipynb`` on the recording and writes to ``build/identify/NAME``, NAME being the recording's
-name: ``report.html``, the executed notebook, the model, its exports, tables and figures. If the recording cannot be
+Runs ``identify.ipynb``, which is a link to ``notebooks/`` and a file of the installed package, on the recording and
+writes to ``build/identify/NAME`` below the checkout or else the working folder, NAME being the recording's name: ``report.html``, the executed notebook, the model, its exports, tables and figures. If the recording cannot be
 used, it prints one sentence, exits with status 2 and leaves the folder as it was.
 """
 
@@ -15,24 +15,26 @@ import tempfile
 from pathlib import Path
 
 from tras.io.formats import FORMATS
-from tras.workflow.files import project_root
+from tras.workflow.arguments import MissingExtraError
+from tras.workflow.files import working_folder
 from tras.workflow.parameters import ParameterError, check_parameters, notebook_defaults
 from tras.workflow.runner import Interrupted, RunError, interruptible, run_notebook
 
 # Errors that are a sentence about the recording or the call, not a fault of the program.
-_SENTENCES = ("RecordingError", "ValueError", "LogarithmError", "FileNotFoundError")
+_SENTENCES = ("RecordingError", "ValueError", "LogarithmError", "FileNotFoundError", "MissingExtraError")
+NOTEBOOK = Path(__file__).with_name("identify.ipynb")
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None, program: str = "python -m tras.identification.command") -> int:
     """Command line; returns 0, 1 (the run failed), 2 (the recording or the call is wrong), 130 or 143 (interrupted)."""
-    options = _parser().parse_args(arguments)
-    root = project_root(Path(__file__).parent)
+    options = _parser(program).parse_args(arguments)
+    root = working_folder()
     out = options.out or root / "build" / "identify" / options.recording.stem
     try:
         parameters = _parameters(options, out, root)
         with interruptible():
-            seconds = _run(root / "notebooks" / "identify.ipynb", out, parameters)
-    except ParameterError as error:
+            seconds = _run(out, parameters, root)
+    except (ParameterError, MissingExtraError) as error:
         print(error, file=sys.stderr)
         return 2
     except RunError as error:
@@ -52,20 +54,21 @@ def main(arguments: list[str] | None = None) -> int:
 class _Parser(argparse.ArgumentParser):
     def error(self, message):
         """Print one sentence instead of the whole usage."""
-        self.exit(2, f"{message}; see python -m tras.identification.command --help.\n")
+        self.exit(2, f"{message}; see {self.prog} --help.\n")
 
 
 def _hint(words):
-    """The variables of make that the sentence asks for."""
+    """The options that the sentence asks for."""
     if "resample=" in words:
-        return " With make: RESAMPLE=, for example RESAMPLE=0.01."
+        return " With make: RESAMPLE=, for example RESAMPLE=0.01. With tras: --resample 0.01."
     if "given as roles" in words:
-        return "\nWith make: ROLES=roles.yaml, or by name: TIME=t STATES=a,b INPUTS=c TRIAL=run."
+        by_make = "With make: ROLES=roles.yaml, or by name: TIME=t STATES=a,b INPUTS=c TRIAL=run."
+        return f"\n{by_make}\nWith tras: --roles roles.yaml, or --time t --states a,b --inputs c --trial run."
     return ""
 
 
-def _parser():
-    parser = _Parser(prog="python -m tras.identification.command", description="Identify a system from a recording.")
+def _parser(program):
+    parser = _Parser(prog=program, description="Identify a system from a recording.")
     add = parser.add_argument
     add("recording", type=_path, help="a .csv, .parquet, .mat or .nc file")
     add("--out", type=_path, help="folder of the results (default: build/identify/NAME)")
@@ -117,7 +120,7 @@ def _parameters(options, out, root):
     paths = {"recording": options.recording, "out_dir": out, "roles": options.roles}
     parameters = vars(options) | {name: _inside(path, root) if path else "" for name, path in paths.items()}
     del parameters["out"]
-    return check_parameters(parameters, notebook_defaults(root / "notebooks" / "identify.ipynb"), "the command line")
+    return check_parameters(parameters, notebook_defaults(NOTEBOOK), "the command line")
 
 
 def _inside(path, root):
@@ -126,12 +129,12 @@ def _inside(path, root):
     return path.relative_to(root).as_posix() if path.is_relative_to(root) else str(path)
 
 
-def _run(notebook, out, parameters):
+def _run(out, parameters, root):
     """Run the notebook in a folder beside ``out``, and move the executed notebook into ``out`` at the very end."""
     out.parent.mkdir(parents=True, exist_ok=True)
     aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.run.", dir=out.parent))
     try:
-        seconds = run_notebook(notebook, aside / "identify.ipynb", parameters)
+        seconds = run_notebook(NOTEBOOK, aside / "identify.ipynb", parameters, folder=root)
         for name in ("identify.json", "identify.ipynb"):
             os.replace(aside / name, out / name)
     except RunError as error:

@@ -5,12 +5,10 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pyarrow
-import pyarrow.parquet
-import pyarrow.types as types
 
 from tras.io.limits import MAX_COLUMNS, Source, check_size, one_line
 from tras.io.roles import RecordingError
+from tras.workflow.arguments import extra
 
 _KEY = b"tras"  # of the file's metadata
 # Our columns are numbered from here on; the numbers are stored apart from the metadata, so they show when it is lost.
@@ -19,6 +17,9 @@ _ID, _FIRST = b"PARQUET:field_id", int.from_bytes(b"tras", "big")
 
 def write_recording(recording, header: dict, path: Path) -> None:
     """Write a recording as a table with ``header`` (a dict) in its metadata and checksums of its pages."""
+    with extra("parquet", "a .parquet file"):
+        import pyarrow.parquet
+
     table = pyarrow.Table.from_pandas(recording.to_frame(), preserve_index=False)
     fields = [field.with_metadata({_ID: str(_FIRST + i)}) for i, field in enumerate(table.schema)]
     table = table.cast(pyarrow.schema(fields, metadata={_KEY: json.dumps(header)}))
@@ -27,6 +28,9 @@ def write_recording(recording, header: dict, path: Path) -> None:
 
 def open_table(path: Path) -> Source:
     """The `Source` of a Parquet file: only the columns that have a role are read."""
+    with extra("parquet", "a .parquet file"):
+        import pyarrow.parquet
+
     with _damage():
         file = pyarrow.parquet.ParquetFile(path, page_checksum_verification=True, pre_buffer=False)
         schema, rows = file.schema_arrow, file.metadata.num_rows
@@ -57,6 +61,8 @@ def open_table(path: Path) -> Source:
 @contextlib.contextmanager
 def _damage():
     """Turn the library's errors into one sentence."""
+    import pyarrow
+
     try:
         yield
     except (OSError, ValueError, TypeError, KeyError, RuntimeError, MemoryError, pyarrow.ArrowException) as error:
@@ -65,6 +71,9 @@ def _damage():
 
 def _column(column, name, roles):
     """A column as floats; times in seconds since the first, labels of trials as text."""
+    import pyarrow
+    from pyarrow import types
+
     kind = column.type
     if name == roles.trial and name != roles.time:
         if types.is_nested(kind):
