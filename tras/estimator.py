@@ -1,9 +1,11 @@
 """What every identified model shares: channels and their scales, roll-outs from measured states, the score."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator
 
 from tras import metrics
@@ -117,6 +119,8 @@ class Estimator(BaseEstimator):
 
     delays = 0
 
+    channels_: Channels
+
     dt_ = property(lambda self: self.channels_.dt)
     state_names_ = property(lambda self: self.channels_.state_names)
     state_units_ = property(lambda self: self.channels_.state_units)
@@ -127,7 +131,7 @@ class Estimator(BaseEstimator):
     u_offset_ = property(lambda self: self.channels_.u_offset)
     u_scale_ = property(lambda self: self.channels_.u_scale)
 
-    def simulate(self, x0, inputs) -> np.ndarray:
+    def simulate(self, x0: ArrayLike, inputs: ArrayLike) -> np.ndarray:
         """Roll out from ``x0`` under ``inputs``, one sample of which acts from its own instant to the next.
 
         Parameters
@@ -173,7 +177,7 @@ class Estimator(BaseEstimator):
         result[:, : d + 1] = np.broadcast_to(x0, (*batch, d + 1, n)).reshape(runs, d + 1, n)
         return result.reshape(*batch, samples, n)
 
-    def predict(self, recording):
+    def predict(self, recording: Recording | Sequence[Recording]) -> np.ndarray | list[np.ndarray]:
         """Roll out every trajectory from its own first state under its own inputs; shaped like ``recording.states``."""
         self.require_fitted()
         recording = self.channels_.matched(recording)
@@ -187,7 +191,7 @@ class Estimator(BaseEstimator):
         states = self.simulate(start if d else start[:, 0], longest)
         return states if np.all(lengths == lengths[0]) else [x[:k] for x, k in zip(states, lengths)]
 
-    def score(self, recording, y=None) -> float:
+    def score(self, recording: Recording | Sequence[Recording], y: None = None) -> float:
         """``-mean(NRMSE)`` over the states, in percent, of the roll-outs; ``-inf`` if one of them diverges."""
         predicted = self.predict(recording)
         true = self.channels_.matched(recording).states

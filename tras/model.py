@@ -1,6 +1,7 @@
 """Identified models: fit, simulate, score, report (paper, Algorithm of Sec. IV and "Model Comparison")."""
 
 import math
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from tras.dictionaries.base import Dictionary
 from tras.estimator import Estimator
 from tras.hull import over_a_sample
 from tras.large import streaming
+from tras.large.slices import RecordingFile
 from tras.metrics import multi_step_error
 from tras.predictors import PREDICTORS, Map
 from tras.recording import Recording
@@ -26,6 +28,8 @@ OPTIONS = {
     "extrapolation": ("linear", "functions"),
     "columns": ("all", "states"),
 }
+# What a model is fitted to: a recording or several, or what `tras.large.streaming` reads piece by piece.
+Source = Recording | RecordingFile | str | Path | Iterable | Callable[[], Iterable]
 _LEARNT = ("koopman_matrix", "generator", "condition_number")  # by a fit, beside what ends in an underscore
 
 
@@ -105,18 +109,28 @@ class KoopmanModel(Estimator):
     array([-0.5])
     """
 
+    koopman_matrix: np.ndarray
+    generator: np.ndarray
+    condition_number: float
+    rank_: int
+    strength_: float
+    errors_: dict[float, float]
+    dictionary_: Dictionary
+    names_: list[str]
+    pairs_: int
+
     def __init__(
         self,
-        dictionary=None,
-        predictor="vector_field",
-        delays=0,
+        dictionary: Dictionary | None = None,
+        predictor: str = "vector_field",
+        delays: int = 0,
         *,
-        field="coordinates",
-        regularization="shrink",
-        strength="auto",
-        extrapolation="linear",
-        stable=False,
-        columns="all",
+        field: str = "coordinates",
+        regularization: str | None = "shrink",
+        strength: float | str = "auto",
+        extrapolation: str = "linear",
+        stable: float | bool = False,
+        columns: str = "all",
     ):
         self.dictionary = dictionary
         self.predictor = predictor
@@ -128,7 +142,7 @@ class KoopmanModel(Estimator):
         self.stable = stable
         self.columns = columns
 
-    def fit(self, recording, y=None, **streamed) -> "KoopmanModel":
+    def fit(self, recording: Source, y: None = None, **streamed) -> "KoopmanModel":
         """Identify from a `Recording`, or a sequence of recordings with the same channels.
 
         It may be larger than memory: the path of a file, `tras.open_recording(path)`, an `xarray.Dataset` of such a
@@ -146,7 +160,7 @@ class KoopmanModel(Estimator):
         self.check_options()
         return self._conclude(*streaming.absorb(self, recording, **streamed), streamed.get("threads"))
 
-    def partial_fit(self, recording: Recording, y=None) -> "KoopmanModel":
+    def partial_fit(self, recording: Recording, y: None = None) -> "KoopmanModel":
         """Go on with more data: K is then the one of all recordings, scales and centres those of the first.
 
         Raises
@@ -244,12 +258,12 @@ class KoopmanModel(Estimator):
         self.require_fitted()
         return summary.describe(self, None if recording is None else self.channels_.matched(recording))
 
-    def save(self, path: str | Path):
+    def save(self, path: str | Path) -> None:
         """Write to ``path`` (.npz: plain arrays and one JSON header, no pickle). Same model, same bytes."""
         self.require_fitted()
         model_file.save(self, path)
 
-    def check_options(self):
+    def check_options(self) -> None:
         """A ValueError on an option that does not exist or does not fit the others."""
         for name, allowed in OPTIONS.items():
             value = getattr(self, name)
@@ -269,7 +283,7 @@ class KoopmanModel(Estimator):
         if self.stable and self.predictor != "lifted_linear":
             raise ValueError(f"stable={self.stable!r} needs predictor='lifted_linear', but it is {self.predictor!r}.")
 
-    def require_fitted(self):
+    def require_fitted(self) -> None:
         """A ValueError unless the model is fitted, with the options that it has now."""
         if not hasattr(self, "koopman_matrix"):
             raise ValueError("the model is not fitted; call fit(recording) first.")
@@ -285,7 +299,7 @@ class KoopmanModel(Estimator):
         K = self.koopman_matrix
         return K if self.columns == "states" else K[:, 1 : 1 + len(self.dictionary_.coordinates)]
 
-    def require_all_columns(self):
+    def require_all_columns(self) -> None:
         """A ValueError unless the model is fitted and knows all of K."""
         self.require_fitted()
         if self.columns == "states":

@@ -1,11 +1,18 @@
 """`Recording`: measured or simulated trajectories with names, units and sampling time (paper, "Data collection")."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+Trajectories = ArrayLike | Sequence[ArrayLike]
 _RESERVED = ("trajectory", "time", "sample", "row_size")  # columns and dimensions of the table and the file
 
 
@@ -50,15 +57,15 @@ class Recording:
 
     def __init__(
         self,
-        states,
-        inputs=None,
-        dt=None,
+        states: Trajectories,
+        inputs: Trajectories | None = None,
+        dt: float | None = None,
         *,
-        state_names=None,
-        input_names=None,
-        state_units=None,
-        input_units=None,
-        attributes=None,
+        state_names: Sequence[str] | None = None,
+        input_names: Sequence[str] | None = None,
+        state_units: Sequence[str] | None = None,
+        input_units: Sequence[str] | None = None,
+        attributes: dict | None = None,
     ):
         self.dt = _number(dt)
         if not (math.isfinite(self.dt) and self.dt > 0):
@@ -119,14 +126,14 @@ class Recording:
         """Number of inputs."""
         return len(self.input_names)
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self._states)
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Trajectories as pairs ``(states (samples, n), inputs (samples, m))``, no copies."""
         return zip(self._states, self._inputs)
 
-    def __getitem__(self, index):
+    def __getitem__(self, index: int | slice | Sequence[int] | Sequence[bool] | np.ndarray) -> "Recording":
         """A recording of the trajectory or trajectories at an integer, slice, list of integers or boolean mask."""
         numbers = np.atleast_1d(np.arange(len(self))[index])
         return self.with_data([self._states[i] for i in numbers], [self._inputs[i] for i in numbers])
@@ -240,7 +247,7 @@ class Recording:
         order = np.random.default_rng(seed).permutation(len(self))
         return self[np.sort(order[:first])], self[np.sort(order[first:])]
 
-    def to_frame(self):
+    def to_frame(self) -> "pandas.DataFrame":
         """A pandas table: trajectory, time in s, then one column per channel."""
         import pandas
 
@@ -252,7 +259,7 @@ class Recording:
         frame.insert(0, "trajectory", np.repeat(np.arange(len(self)), self.lengths))
         return frame
 
-    def to_xarray(self):
+    def to_xarray(self) -> "xarray.Dataset":
         """An ``xarray.Dataset``: one variable per channel along ``sample``, trajectories one behind the other.
 
         ``row_size`` holds the number of samples of each trajectory (CF conventions, contiguous ragged array). The
@@ -264,7 +271,7 @@ class Recording:
 
         return netcdf.to_xarray(self, _attributes(self.attributes))
 
-    def write(self, path: str | Path):
+    def write(self, path: str | Path) -> None:
         """Write to ``path``: NetCDF-4 (.nc), .csv, .parquet or MATLAB (.mat, version 7). Same content, same bytes.
 
         `read` has everything back, numbers to the last bit. A .nc opens in xarray, MATLAB's ncread and ncdump, a .csv

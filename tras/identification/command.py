@@ -3,8 +3,9 @@
     python -m tras.identification.command log.csv [--out FOLDER] [--roles roles.yaml] [--delays 0,2,4] ...
 
 Runs ``identify.ipynb``, which is a link to ``notebooks/`` and a file of the installed package, on the recording and
-writes to ``build/identify/NAME`` below the checkout or else the working folder, NAME being the recording's name: ``report.html``, the executed notebook, the model, its exports, tables and figures. If the recording cannot be
-used, it prints one sentence, exits with status 2 and leaves the folder as it was.
+writes to ``build/identify/NAME`` below the checkout or else the working folder, NAME being the recording's name:
+``report.html``, the executed notebook, the model, its exports, tables and figures. If the recording cannot be used, it
+prints one sentence, exits with status 2 and leaves the folder as it was.
 """
 
 import argparse

@@ -10,6 +10,7 @@ import hashlib
 import json
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from tras.io import matlab, netcdf, parquet, sampling, text
 from tras.io.limits import FORMAT, MAX_FILE
 from tras.io.roles import RecordingError, assign, mapping
 from tras.workflow.files import replacing
+
+if TYPE_CHECKING:
+    from tras.recording import Recording
 
 # Suffix -> its module: open_table(path) returns a `tras.io.limits.Source`, write_recording(recording, header, path).
 FORMATS = {".nc": netcdf, ".csv": text, ".parquet": parquet, ".mat": matlab}
@@ -73,7 +77,7 @@ def read(path, roles=None, *, dt=None, resample=None, missing="cut", tolerance=s
     return {**content, "state_units": units[0], "input_units": units[1], "attributes": attributes}
 
 
-def remarks(recording) -> list[str]:
+def remarks(recording: "Recording") -> list[str]:
     """Sentences on what the reader of a file guessed and noticed, or [].
 
     Examples
