@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,6 +11,10 @@ from sklearn.base import BaseEstimator
 
 from tras import metrics
 from tras.recording import Recording, join
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -190,6 +195,21 @@ class Estimator(BaseEstimator):
         start = np.stack([x[: d + 1] for x, _ in recording])
         states = self.simulate(start if d else start[:, 0], longest)
         return states if np.all(lengths == lengths[0]) else [x[:k] for x, k in zip(states, lengths)]
+
+    def plot(self, recording: Recording, trajectory: int = 0, ax: "Axes | Sequence[Axes] | None" = None) -> "Figure":
+        """Measured states against simulated ones over one trajectory, the fit in the legend: `tras.compare`.
+
+        Examples
+        --------
+        >>> import tras
+        >>> recording = tras.Recording([[[0.9**k] for k in range(20)]], dt=0.1)
+        >>> model = tras.KoopmanModel(tras.Monomials(1), "one_step").fit(recording)
+        >>> model.plot(recording).axes[0].get_ylabel()
+        'x1'
+        """
+        from tras.display import plots
+
+        return plots.compare(recording, self, trajectory=trajectory, ax=ax)
 
     def score(self, recording: Recording | Sequence[Recording], y: None = None) -> float:
         """``-mean(NRMSE)`` over the states, in percent, of the roll-outs; ``-inf`` if one of them diverges."""

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +21,10 @@ from tras.predictors import PREDICTORS, Map
 from tras.recording import Recording
 from tras.regularization import METHODS, STRENGTHS
 from tras.workflow import arguments
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 OPTIONS = {
     "predictor": tuple(PREDICTORS),
@@ -257,6 +262,36 @@ class KoopmanModel(Estimator):
         """The fit in a few lines of text; also how well it predicts a recording, best one that was not fitted."""
         self.require_fitted()
         return summary.describe(self, None if recording is None else self.channels_.matched(recording))
+
+    def _repr_html_(self):
+        from tras.display import html
+
+        return html.model_html(self)
+
+    def _repr_mimebundle_(self, **options):
+        """The report, in place of scikit-learn's diagram of the options, which is not about this fit."""
+        bundle = {"text/plain": repr(self)}
+        return bundle | {"text/html": self._repr_html_()} if hasattr(self, "koopman_matrix") else bundle
+
+    def plot_spectrum(self, ax: "Axes | None" = None) -> "Figure":
+        """Eigenvalues of K beside the unit circle, all and near one; in an ``ax`` of your own all.
+
+        Raises
+        ------
+        ValueError
+            If the model is not fitted, or was fitted with ``columns="states"``.
+
+        Examples
+        --------
+        >>> import tras
+        >>> recording = tras.Recording([[[0.9**k] for k in range(20)]], dt=0.1)
+        >>> figure = KoopmanModel(tras.Monomials(1), "one_step").fit(recording).plot_spectrum()
+        >>> [panel.get_title(loc="left") for panel in figure.axes]
+        ['all', 'near one']
+        """
+        from tras.display import plots
+
+        return plots.spectrum_figure(self, ax)
 
     def save(self, path: str | Path) -> None:
         """Write to ``path`` (.npz: plain arrays and one JSON header, no pickle). Same model, same bytes."""

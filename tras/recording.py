@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike
 if TYPE_CHECKING:
     import pandas
     import xarray
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Trajectories = ArrayLike | Sequence[ArrayLike]
 _RESERVED = ("trajectory", "time", "sample", "row_size")  # columns and dimensions of the table and the file
@@ -141,8 +143,38 @@ class Recording:
     def __repr__(self):
         lengths = self.lengths
         samples = f"{lengths[0]}" if np.all(lengths == lengths[0]) else f"{lengths.min()} to {lengths.max()}"
-        channels = f"states {', '.join(self.state_names)}; inputs {', '.join(self.input_names) or 'none'}"
+        channels = f"states {_listed(self.state_names)}; inputs {_listed(self.input_names) or 'none'}"
         return f"Recording: {len(self)} trajectories of {samples} samples at {self.dt:g} s; {channels}"
+
+    def _repr_html_(self):
+        from tras.display import html
+
+        return html.recording_html(self)
+
+    def plot(self, channels: Sequence[str] | None = None, ax: "Axes | Sequence[Axes] | None" = None) -> "Figure":
+        """Channels over time, one below the other; trajectories one after the other, their beginnings marked.
+
+        Parameters
+        ----------
+        channels : sequence of str, optional
+            At most six. Default: the first states and inputs.
+        ax : matplotlib Axes or sequence of them, optional
+            Where to draw, one per channel. Default: a new figure.
+
+        Raises
+        ------
+        ValueError
+            If there is no such channel, or the axes are not as many.
+
+        Examples
+        --------
+        >>> recording = Recording([[[0.0], [1.0], [0.5]]], dt=0.1, state_names=["q"], state_units=["m"])
+        >>> recording.plot().axes[0].get_title(loc="left")
+        'q (m)'
+        """
+        from tras.display import plots
+
+        return plots.recording_figure(self, channels, ax)
 
     def select(self, *, states: Sequence[str] | None = None, inputs: Sequence[str] | None = None) -> "Recording":
         """The same trajectories with only the named channels, in the order given.
@@ -492,6 +524,15 @@ def _check_finite(names, trajectories):
                 f"channel {names[channel]!r} is {array[sample, channel]} in trajectory {i} at sample {sample}; "
                 "repair it or cut the trajectory there."
             )
+
+
+def _listed(names):
+    """Names for one line: the first of many, and how many there are."""
+    from tras.workflow.arguments import short
+
+    if len(names) <= 8:
+        return ", ".join(map(short, names))
+    return f"{', '.join(map(short, names[:6]))}, ... ({len(names)})"
 
 
 def _together(trajectories):

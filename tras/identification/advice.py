@@ -10,6 +10,7 @@ import numpy as np
 from tras.identification.checks import beyond
 from tras.identification.noise import noise_level
 from tras.identification.scores import CONSTANT
+from tras.workflow.arguments import short
 
 
 class Advice(NamedTuple):
@@ -20,15 +21,27 @@ class Advice(NamedTuple):
     text: str
 
 
+class AdviceList(list):
+    """All advice on an identification, the gravest first. It prints one line for each."""
+
+    def __repr__(self):
+        return "\n".join(f"{weight}: {short(about, 80)}" for weight, about, _ in self) or "no warnings"
+
+    def _repr_html_(self):
+        from tras.identification import page
+
+        return page.advice_html(self)
+
+
 WEIGHTS = ("stop", "warning", "note")
 stop, warning, note = (partial(Advice, weight) for weight in WEIGHTS)
 
 
-def of(identification, log) -> list[Advice]:
+def of(identification, log) -> AdviceList:
     """All advice on an `Identification` of the recording ``log``, the gravest first."""
     about_data = [*_data(identification, log), *_excitation(identification)]
     advice = [*_verdict(identification), *about_data, *_model(identification), *_reach(identification)]
-    return sorted(advice, key=lambda each: WEIGHTS.index(each.weight))
+    return AdviceList(sorted(advice, key=lambda each: WEIGHTS.index(each.weight)))
 
 
 def verdict(identification) -> str:

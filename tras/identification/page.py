@@ -51,7 +51,9 @@ def write_page(identification, log, name, figures, exports, failures, formulas="
         return page.figure(figures[key], alt, page.escape(caption), key) if key in figures else ""
 
     put(f"# Identification of {_plain(name)}")
-    put("## In short", text(advice.verdict(identification)), _chosen(identification), _advice(identification))
+    put(
+        "## In short", text(advice.verdict(identification)), _chosen(identification), advice_html(identification.advice)
+    )
     sentences = _list(remarks(log)), _list(step_remarks["pairs"])
     channels = identification.recording.n + identification.recording.m
     more = f"Six of {channels} channels are shown." if channels > 6 else ""
@@ -99,11 +101,18 @@ def _chosen(identification):
     )
 
 
-def _advice(identification):
-    if not identification.advice:
+def summary_html(identification) -> str:
+    """The verdict, what to mind and the test, for a notebook."""
+    verdict = f"<p>{page.escape(advice.verdict(identification))}</p>\n"
+    return verdict + _chosen(identification) + advice_html(identification.advice) + _metrics(identification)
+
+
+def advice_html(sentences) -> str:
+    """All advice, each with its weight as a sign, a word and a colour."""
+    if not sentences:
         return "<p>No warnings.</p>\n"
     articles = []
-    for weight, about, sentence in identification.advice:
+    for weight, about, sentence in sentences:
         sign, kind, word = _WEIGHTS[weight]
         badge = f'<span class="verdict {kind}"><span aria-hidden="true">{sign}</span> {word}</span>'
         articles.append(f"<article><h3>{badge} {page.escape(about)}</h3>\n<p>{page.escape(sentence)}</p></article>\n")

@@ -45,6 +45,16 @@ def seed(name: str, value, purpose: str) -> None:
         raise ValueError(f"{name} is {value!r}; {remedy}.")
 
 
+def short(text: str, most: int = 40) -> str:
+    """A name from a file for people to read: on one line, cut where it is long, without unprintable characters.
+
+    >>> short("pitch" + chr(10) + "angle" + chr(7)), short("a" * 50, 10)
+    ('pitch angle�', 'aaaaaaaaa…')
+    """
+    line = "".join(letter if letter.isprintable() else "\ufffd" for letter in " ".join(str(text).split()))
+    return line if len(line) <= most else f"{line[: most - 1]}…"
+
+
 def did_you_mean(name, known) -> str:
     """The end of a sentence about a name that is not among those that are known.
 
@@ -68,7 +78,7 @@ def extra(name: str, purpose: str):
     ...     import no_such_library
     Traceback (most recent call last):
         ...
-    MissingExtraError: a scheduler needs no_such_library, which is not installed: pip install 'tras-koopman[cluster]'.
+    tras.workflow.arguments.MissingExtraError: a scheduler needs no_such_library, which is not installed: ...
     """
     try:
         yield
