@@ -28,12 +28,17 @@ def recording_html(recording: "Recording") -> str:
     more = len(columns) - len(rows)
     caption = f"{size(recording)}{f'; {more} more channels' if more > 0 else ''}"
     head = ["channel", "role", "unit", "lowest", "highest", "over time"]
-    return page.table(head, rows, page.escape(caption))
+    return in_notebook(page.table(head, rows, page.escape(caption)))
 
 
 def model_html(model: "KoopmanModel") -> str:
     """The report of a fitted model."""
-    return f"<pre>{page.escape(model.report())}</pre>\n"
+    return in_notebook(f"<pre>{page.escape(model.report())}</pre>\n")
+
+
+def in_notebook(html: str) -> str:
+    """HTML for a notebook, which takes dollar signs for formulas unless it is told not to."""
+    return f'<div class="tex2jax_ignore mathjax_ignore">{html}</div>\n'
 
 
 def size(recording: "Recording") -> str:
@@ -56,6 +61,6 @@ def sparkline(values: np.ndarray) -> str:
     x = np.linspace(1, _WIDTH - 1, len(edges))
     points = []
     for at, *ends in zip(x, low, high):
-        points += [f"{at:.1f},{_HEIGHT - 2 - (_HEIGHT - 4) * (end - bottom) / span:.1f}" for end in ends]
+        points += [f"{at:.1f},{_HEIGHT - 2 - (_HEIGHT - 4) * (end - bottom) / span:.1f}" for end in dict.fromkeys(ends)]
     line = f'<polyline points="{" ".join(points)}" fill="none" stroke="currentColor" stroke-width="1"/>'
     return f'<svg width="{_WIDTH}" height="{_HEIGHT}" viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img">{line}</svg>'

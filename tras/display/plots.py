@@ -58,12 +58,14 @@ def data_figure(table: pd.DataFrame, names: list[str], units: list[str], ax=None
     require(table, "table", ["trajectory", "time", *names])
     names, units = names[:MOST], units[:MOST]
     panels = _panels(ax, len(names), height=0.75 * len(names) + 0.55)
-    begins = table["time"][table["trajectory"].diff() > 0]
+    first = np.flatnonzero(table["trajectory"].diff() > 0)
+    begins, time = table["time"].iloc[first], np.insert(table["time"].to_numpy(), first, np.nan)
     for panel, name, title in zip(panels, names, with_units(names, units)):
-        panel.plot(table["time"], table[name], color="black", linestyle="-", linewidth=0.6)
+        values = np.insert(table[name].to_numpy(dtype=float), first, np.nan)  # no line from one trajectory to the next
+        panel.plot(time, values, color="black", linestyle="-", linewidth=0.6)
         panel.set_title(title, fontsize=8, pad=2)
-        for time in begins if len(begins) <= 40 else ():
-            panel.axvline(time, color="0.8", linewidth=0.4, linestyle="-", zorder=0)
+        for begin in begins if len(begins) <= 40 else ():
+            panel.axvline(begin, color="0.8", linewidth=0.4, linestyle="-", zorder=0)
     panels[-1].set_xlabel("time (s)")
     return panels[0].figure
 

@@ -53,9 +53,10 @@ class Identification(NamedTuple):
         return f"Identification: {short(label(self.model.dictionary), 80)}. {verdict(self)} {count}"
 
     def _repr_html_(self):
+        from tras.display.html import in_notebook
         from tras.identification import page
 
-        return page.summary_html(self)
+        return in_notebook(page.summary_html(self))
 
     def plot(self) -> "Figure":
         """The typical and the worst window of the test: measured, the model, a linear model, the bootstrap's band."""
