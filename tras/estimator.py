@@ -1,6 +1,7 @@
 """What every identified model shares: channels and their scales, roll-outs from measured states, the score."""
 
 import math
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -53,9 +54,10 @@ class Channels:
         """
         names, inputs = tuple(recording.state_names), tuple(recording.input_names)
         ranges = ranges_of(recording) if ranges is None else ranges
-        scales = *_middle_and_half(ranges, names), *_middle_and_half(ranges, inputs)
+        (x_offset, x_scale), (u_offset, u_scale) = _middle_and_half(ranges, names), _middle_and_half(ranges, inputs)
         units = tuple(recording.state_units), tuple(recording.input_units)
-        return cls(recording.dt, names, units[0], inputs, units[1], *scales, delays, delayed_inputs)
+        labels = recording.dt, names, units[0], inputs, units[1]
+        return cls(*labels, x_offset, x_scale, u_offset, u_scale, delays, delayed_inputs)
 
     @property
     def z_names(self) -> list[str]:
@@ -94,8 +96,9 @@ class Channels:
 
     def scaled(self, recording: Recording) -> Recording:
         """The recording in scaled channels, delayed samples among the states."""
-        scaled = [((x - self.x_offset) / self.x_scale, (u - self.u_offset) / self.u_scale) for x, u in recording]
-        return Recording(*map(list, zip(*scaled)), recording.dt).delayed(self.delays, inputs=self.delayed_inputs)
+        states = [(x - self.x_offset) / self.x_scale for x, _ in recording]
+        inputs = [(u - self.u_offset) / self.u_scale for _, u in recording]
+        return Recording(states, inputs, recording.dt).delayed(self.delays, inputs=self.delayed_inputs)
 
     def points(self, x, u=None) -> tuple[np.ndarray, np.ndarray]:
         """Scaled copies of z (..., n') and u (..., m) in physical units."""
@@ -114,12 +117,7 @@ class Estimator(BaseEstimator):
     """An identified model of scaled channels: the base of `tras.KoopmanModel` and of the methods that it is compared
     with.
 
-    A subclass sets ``channels_`` in its ``fit`` and supplies
-
-    ``_simulate_scaled(x, u)``
-        (runs, samples, n) from scaled first samples (runs, delays + 1, n) under scaled inputs (runs, samples, m).
-    ``require_fitted()``
-        A ValueError unless it is ready to predict.
+    A subclass sets ``channels_`` in its ``fit`` and supplies `require_fitted` and `_simulate_scaled`.
     """
 
     delays = 0
@@ -135,6 +133,14 @@ class Estimator(BaseEstimator):
     x_scale_ = property(lambda self: self.channels_.x_scale)
     u_offset_ = property(lambda self: self.channels_.u_offset)
     u_scale_ = property(lambda self: self.channels_.u_scale)
+
+    @abstractmethod
+    def require_fitted(self) -> None:
+        """A ValueError unless it is ready to predict."""
+
+    @abstractmethod
+    def _simulate_scaled(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """(runs, samples, n) from scaled first samples (runs, delays + 1, n) under scaled inputs (runs, samples, m)."""
 
     def simulate(self, x0: ArrayLike, inputs: ArrayLike) -> np.ndarray:
         """Roll out from ``x0`` under ``inputs``, one sample of which acts from its own instant to the next.

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -198,7 +198,7 @@ class KoopmanModel(Estimator):
         return self
 
     def _choose_strength(self, scaled, held):
-        self.errors_ = {}
+        self.errors_, reason = {}, None
         for strength in STRENGTHS:
             try:
                 with np.errstate(over="ignore", invalid="ignore"):  # what runs away is counted, not warned of
@@ -207,8 +207,8 @@ class KoopmanModel(Estimator):
                     self.errors_[strength] = multi_step_error(predicted, held, len(self.state_names_))
             except ValueError as error:  # no logarithm, or functions that depend on each other: a stronger one may do
                 self.errors_[strength], reason = math.inf, error
-        best = min(self.errors_, key=self.errors_.get)
-        if math.isinf(self.errors_[best]):
+        best = min(self.errors_, key=self.errors_.__getitem__)
+        if reason is not None and math.isinf(self.errors_[best]):
             raise reason
         return best
 
@@ -218,8 +218,10 @@ class KoopmanModel(Estimator):
         self.condition_number, self.rank_ = least_squares.condition_number, least_squares.rank
         self.residual_, self.pairs_, self.strength_ = least_squares.residual, least_squares.rows, strength
         self.hull_ = self._fit.hull
-        self.outward_ = None if self.hull_ is None else self._fit.outward(least_squares)
-        self.outward_step_ = None if self.hull_ is None else over_a_sample(self.outward_, self.dt_)
+        self.outward_ = self.outward_step_ = None
+        if self.hull_ is not None:
+            self.outward_ = self._fit.outward(least_squares)
+            self.outward_step_ = over_a_sample(self.outward_, self.dt_)
         self._predictor.settle(self, D, least_squares, scaled)
 
     @property
@@ -230,8 +232,8 @@ class KoopmanModel(Estimator):
     def eigenvalues(self) -> np.ndarray:
         """Eigenvalues of K, largest modulus first."""
         self.require_all_columns()
-        eigenvalues = linalg.eigvals(self.koopman_matrix)
-        return eigenvalues[np.lexsort((-eigenvalues.imag, -np.abs(eigenvalues)))]
+        eigenvalues = np.asarray(linalg.eigvals(self.koopman_matrix))
+        return eigenvalues[np.lexsort((-np.imag(eigenvalues), -np.abs(eigenvalues)))]
 
     def lift(self, x: ArrayLike, u: ArrayLike | None = None) -> np.ndarray:
         """``psi(x, u)``, or psi(x) with ``lifted_linear``: (..., n) and (..., m) in physical units -> (..., N)."""
@@ -374,7 +376,8 @@ def load_model(path: str | Path) -> KoopmanModel:
 
 def _restored(parameters, dictionary, channels, attributes):
     """The model that fit had made, from what its file holds."""
-    model = KoopmanModel(clone(dictionary), **parameters)
+    unfitted: Any = clone(dictionary)
+    model = KoopmanModel(unfitted, **parameters)
     model.dictionary_, model.channels_ = dictionary, channels
     vars(model).update(attributes)
     return model

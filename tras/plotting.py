@@ -7,6 +7,7 @@ To add one, write ``@styled()`` over a function of one or more tables, start wit
 import io
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any, Literal
 
 import matplotlib.style
 import pandas as pd
@@ -53,8 +54,12 @@ def plain(text: str) -> str:
 
 @styled()
 def new_figure(
-    height: float = 2.4, rows: int = 1, columns: int = 1, sharex: bool | str = True, **subplot_options
-) -> tuple[Figure, object]:
+    height: float = 2.4,
+    rows: int = 1,
+    columns: int = 1,
+    sharex: bool | Literal["none", "all", "row", "col"] = True,
+    **subplot_options,
+) -> tuple[Figure, Any]:
     """An empty figure one column wide, and its axes: one, or an array of them.
 
     Parameters

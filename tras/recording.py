@@ -420,18 +420,18 @@ def join(recordings: Recording | Iterable[Recording]) -> Recording:
     if isinstance(recordings, Recording):
         return recordings
     try:
-        recordings = list(recordings)
+        several: list = list(recordings)
     except TypeError:
-        recordings = [recordings]
-    if not recordings or not all(isinstance(r, Recording) for r in recordings):
+        several = [recordings]
+    if not several or not all(isinstance(each, Recording) for each in several):
         raise ValueError(
-            f"recording is {type(recordings[0]).__name__ if recordings else 'empty'}; "
+            f"recording is {type(several[0]).__name__ if several else 'empty'}; "
             "give a tras.Recording or a sequence of them."
         )
-    first = recordings[0]
-    for i, other in enumerate(recordings[1:], start=1):
+    first = several[0]
+    for i, other in enumerate(several[1:], start=1):
         require_alike(first, other, i)
-    return first.with_data([x for r in recordings for x, _ in r], [u for r in recordings for _, u in r])
+    return first.with_data([x for each in several for x, _ in each], [u for each in several for _, u in each])
 
 
 def require_alike(first, other, i):

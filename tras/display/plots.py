@@ -18,6 +18,7 @@ from tras.plotting import LINEAR, MODEL, TRUTH, new_figure, plain, require, styl
 
 if TYPE_CHECKING:
     from tras.estimator import Estimator
+    from tras.model import KoopmanModel
     from tras.recording import Recording
 
 MOST = 6  # panels; others on request
@@ -59,9 +60,11 @@ def data_figure(table: pd.DataFrame, names: list[str], units: list[str], ax=None
     names, units = names[:MOST], units[:MOST]
     panels = _panels(ax, len(names), height=0.75 * len(names) + 0.55)
     first = np.flatnonzero(table["trajectory"].diff() > 0)
-    begins, time = table["time"].iloc[first], np.insert(table["time"].to_numpy(), first, np.nan)
+    begins, time = table["time"].iloc[first], np.insert(np.asarray(table["time"]), first, np.nan)
     for panel, name, title in zip(panels, names, with_units(names, units)):
-        values = np.insert(table[name].to_numpy(dtype=float), first, np.nan)  # no line from one trajectory to the next
+        values = np.insert(
+            np.asarray(table[name], dtype=float), first, np.nan
+        )  # no line from one trajectory to the next
         panel.plot(time, values, color="black", linestyle="-", linewidth=0.6)
         panel.set_title(title, fontsize=8, pad=2)
         for begin in begins if len(begins) <= 40 else ():
@@ -189,9 +192,9 @@ def eigenvalue_figure(table: pd.DataFrame, ax=None) -> Figure:
     for panel in (whole, near) if near is not None else (whole,):
         panel.plot(np.cos(angle), np.sin(angle), color="0.6", linestyle="-", linewidth=0.7)
         for (name, group), marker in zip(table.groupby("model", sort=False), _MARKERS):
-            panel.plot(group["real"], group["imag"], linestyle="none", label=plain(name), **marker)
+            panel.plot(group["real"], group["imag"], linestyle="none", label=plain(str(name)), **marker)
         panel.set(xlabel="real part")
-    reach = 1.15 * max(1.0, table[["real", "imag"]].abs().to_numpy().max())
+    reach = 1.15 * max(1.0, np.abs(np.asarray(table[["real", "imag"]])).max())
     whole.set(ylabel="imaginary part", xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
     if near is None:
         return figure
@@ -203,15 +206,15 @@ def eigenvalue_figure(table: pd.DataFrame, ax=None) -> Figure:
     near.set_title("near one", fontsize=8, pad=3)
     near.locator_params(nbins=4)
     near.ticklabel_format(useOffset=False)
-    if table["model"].nunique() > 1:
+    if len(set(table["model"])) > 1:
         figure.legend(*whole.get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
 
 
-def spectrum_figure(model: "Estimator", ax=None) -> Figure:
+def spectrum_figure(model: "KoopmanModel", ax=None) -> Figure:
     """See `tras.KoopmanModel.plot_spectrum`."""
     values = model.eigenvalues
-    return eigenvalue_figure(pd.DataFrame({"model": "model", "real": values.real, "imag": values.imag}), ax)
+    return eigenvalue_figure(pd.DataFrame({"model": "model", "real": np.real(values), "imag": np.imag(values)}), ax)
 
 
 def _panels(ax, count, **size):

@@ -186,8 +186,10 @@ def simulate_closed_loops(
     (30, 101, 4)
     """
     references = _references("references", references, "(runs, samples, 2)", dimensions=(2, 3))
-    single = parameters is None or isinstance(parameters, PlantParameters)
-    rigs = [parameters or PlantParameters()] if single else list(parameters)
+    if parameters is None or isinstance(parameters, PlantParameters):
+        rigs = [parameters or PlantParameters()]
+    else:
+        rigs = list(parameters)
     x0 = None if x0 is None else np.asarray(x0, dtype=float)
     references = np.broadcast_to(references, (_runs(references, rigs, x0), *references.shape[-2:]))
     return _simulated(references, dt, rigs, controllers, x0, step, attributes)
