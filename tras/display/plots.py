@@ -198,7 +198,7 @@ def eigenvalue_figure(table: pd.DataFrame, ax=None) -> Figure:
     whole.set(ylabel="imaginary part", xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
     if near is None:
         return figure
-    distance = np.hypot(table["real"] - 1, table["imag"]).to_numpy()
+    distance = np.asarray(np.hypot(table["real"] - 1, table["imag"]))
     distance = distance[distance > 1e-6]
     zoom = float(np.clip(1.3 * np.quantile(distance, 0.5), 1e-4, 1.0)) if len(distance) else 0.1
     near.set(xlim=(1 - zoom, 1 + zoom), ylim=(-zoom, zoom), aspect="equal")
