@@ -85,7 +85,7 @@ def installed(wheel, tmp_path_factory):
     """The `bin` of an environment with the wheel and its core, at the versions of environment.txt."""
     folder = tmp_path_factory.mktemp("bare")
     venv.create(folder / "venv", with_pip=True)
-    versions = re.findall(r"^([\w.-]+==\S+)", (ROOT / "environment.txt").read_text(), re.MULTILINE)
+    versions = re.findall(r"^[\w.-]+==[^\\\n]+", (ROOT / "environment.txt").read_text(), re.MULTILINE)
     (folder / "versions.txt").write_text("\n".join(versions))
     python = folder / "venv" / "bin" / "python"
     pip = [python, "-m", "pip", "--quiet", "--disable-pip-version-check"]
