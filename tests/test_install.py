@@ -16,11 +16,9 @@ from tras.workflow.arguments import DISTRIBUTION
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 IMPORT_ALL = """
-import sys, time
-start = time.perf_counter()
+import sys
 import tras
-seconds = time.perf_counter() - start
-assert "numpy" not in sys.modules and seconds < 1, seconds
+assert "numpy" not in sys.modules
 for name in tras.__all__:
     getattr(tras, name)
 print(tras.__file__)
@@ -32,7 +30,7 @@ log.write("log.csv"), log.write("log.mat")
 assert (tras.Recording.read("log.mat").states == log.states).all()
 log.plot().savefig("log.png")
 for attempt in (lambda: log.write("log.parquet"), lambda: log.write("log.nc"), lambda: tras.sweep(
-    [log] * 2, {"predictor": "one_step"}, scheduler="tcp://localhost:1")):
+    log.cut(2), {"dictionary": [tras.Monomials(1)]}, held_out=log, scheduler="tcp://localhost:1")):
     try:
         attempt()
     except ImportError as error:
@@ -93,7 +91,7 @@ def installed(wheel, tmp_path_factory):
         run(*pip, "download", "--no-deps", "--no-cache-dir", "--dest", folder / "probe", "threadpoolctl", folder=folder)
     except AssertionError as error:
         pytest.skip(f"pip reaches no package index here: {str(error).strip().splitlines()[-1]}")
-    install = [*pip, "install", "--constraint", folder / "versions.txt"]
+    install = [*pip, "install", "--no-compile", "--constraint", folder / "versions.txt"]
     run(*install, wheel, folder=folder)
     return python.parent, lambda extra: run(*install, f"{wheel}[{extra}]", folder=folder)
 
