@@ -30,7 +30,7 @@ log.write("log.csv"), log.write("log.mat")
 assert (tras.Recording.read("log.mat").states == log.states).all()
 log.plot().savefig("log.png")
 for attempt in (lambda: log.write("log.parquet"), lambda: log.write("log.nc"), lambda: tras.sweep(
-    log.cut(2), {"dictionary": [tras.Monomials(1)]}, held_out=log, scheduler="tcp://localhost:1")):
+    log.cut(2), {"dictionary": [tras.Monomials(1)]}, held_out=log, window=0.2, scheduler="tcp://localhost:1")):
     try:
         attempt()
     except ImportError as error:
