@@ -1,5 +1,6 @@
 """The package as others get it: a wheel, installed by pip into an environment that has nothing else."""
 
+import json
 import os
 import re
 import subprocess
@@ -148,6 +149,8 @@ def test_a_bare_environment(installed, tmp_path):
     assert {"report.html", "identify.ipynb", "model.npz", "export", "figures"} <= {
         path.name for path in folder.iterdir()
     }
+    record = json.loads((folder / "identify.json").read_text())
+    assert record["git"]["revision"] is None and record["packages"]["numpy"] and record["packages"][DISTRIBUTION]
     assert tras.load_model(folder / "model.npz").predictor == "one_step"
     missing = run(command, "identify", "nothing.csv", folder=tmp_path, code=2)
     assert missing == "RECORDING: nothing.csv does not exist; give the path of a file.\n"
