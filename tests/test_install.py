@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -72,8 +73,11 @@ def wheel(tmp_path_factory):
         "--wheel-dir",
         folder,
     ]
-    source = tmp_path_factory.mktemp("source") / "tras"  # setuptools leaves build/ and *.egg-info where it builds
-    subprocess.run(["git", "clone", "--quiet", ROOT, source], check=True)
+    source = tmp_path_factory.mktemp("source")  # setuptools leaves build/ and *.egg-info where it builds
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    for name in ("tras", "notebooks"):
+        shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
     subprocess.run(list(map(str, [*build, source])), check=True)
     (path,) = folder.glob("*.whl")
     return path
