@@ -9,7 +9,7 @@ from tras.workflow import staleness
 
 FLAT_FILES = 15  # at most; what a stranger reads in an hour
 EVERYWHERE = "workflow.arguments"  # checks of numbers and names
-METHOD = "flat dictionaries solver io large"
+METHOD = "flat dictionaries solver io large display"
 LEAVES = "workflow.files workflow.provenance"  # files moved into place, versions
 BELOW_PAPER = f"{METHOD} twin_rotor identification control export sweeps workflow"
 # Room (a folder of tras/; "flat" for the files beside them) -> the rooms or modules that it may import besides itself.
@@ -19,7 +19,8 @@ MAY_IMPORT = {
     "dictionaries": "",
     "solver": "",
     "io": "workflow.files",
-    "flat": f"dictionaries solver io large {LEAVES}",
+    "flat": f"dictionaries solver io large display {LEAVES}",
+    "display": "plotting metrics dictionaries.base workflow.page",
     "twin_rotor": f"recording {LEAVES}",
     "large": f"{METHOD} workflow",
     "export": f"{METHOD} {LEAVES}",

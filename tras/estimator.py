@@ -1,13 +1,21 @@
 """What every identified model shares: channels and their scales, roll-outs from measured states, the score."""
 
 import math
+from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator
 
 from tras import metrics
 from tras.recording import Recording, join
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -46,9 +54,10 @@ class Channels:
         """
         names, inputs = tuple(recording.state_names), tuple(recording.input_names)
         ranges = ranges_of(recording) if ranges is None else ranges
-        scales = *_middle_and_half(ranges, names), *_middle_and_half(ranges, inputs)
+        (x_offset, x_scale), (u_offset, u_scale) = _middle_and_half(ranges, names), _middle_and_half(ranges, inputs)
         units = tuple(recording.state_units), tuple(recording.input_units)
-        return cls(recording.dt, names, units[0], inputs, units[1], *scales, delays, delayed_inputs)
+        labels = recording.dt, names, units[0], inputs, units[1]
+        return cls(*labels, x_offset, x_scale, u_offset, u_scale, delays, delayed_inputs)
 
     @property
     def z_names(self) -> list[str]:
@@ -87,8 +96,9 @@ class Channels:
 
     def scaled(self, recording: Recording) -> Recording:
         """The recording in scaled channels, delayed samples among the states."""
-        scaled = [((x - self.x_offset) / self.x_scale, (u - self.u_offset) / self.u_scale) for x, u in recording]
-        return Recording(*map(list, zip(*scaled)), recording.dt).delayed(self.delays, inputs=self.delayed_inputs)
+        states = [(x - self.x_offset) / self.x_scale for x, _ in recording]
+        inputs = [(u - self.u_offset) / self.u_scale for _, u in recording]
+        return Recording(states, inputs, recording.dt).delayed(self.delays, inputs=self.delayed_inputs)
 
     def points(self, x, u=None) -> tuple[np.ndarray, np.ndarray]:
         """Scaled copies of z (..., n') and u (..., m) in physical units."""
@@ -107,15 +117,12 @@ class Estimator(BaseEstimator):
     """An identified model of scaled channels: the base of `tras.KoopmanModel` and of the methods that it is compared
     with.
 
-    A subclass sets ``channels_`` in its ``fit`` and supplies
-
-    ``_simulate_scaled(x, u)``
-        (runs, samples, n) from scaled first samples (runs, delays + 1, n) under scaled inputs (runs, samples, m).
-    ``require_fitted()``
-        A ValueError unless it is ready to predict.
+    A subclass sets ``channels_`` in its ``fit`` and supplies `require_fitted` and `_simulate_scaled`.
     """
 
     delays = 0
+
+    channels_: Channels
 
     dt_ = property(lambda self: self.channels_.dt)
     state_names_ = property(lambda self: self.channels_.state_names)
@@ -127,7 +134,15 @@ class Estimator(BaseEstimator):
     u_offset_ = property(lambda self: self.channels_.u_offset)
     u_scale_ = property(lambda self: self.channels_.u_scale)
 
-    def simulate(self, x0, inputs) -> np.ndarray:
+    @abstractmethod
+    def require_fitted(self) -> None:
+        """A ValueError unless it is ready to predict."""
+
+    @abstractmethod
+    def _simulate_scaled(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """(runs, samples, n) from scaled first samples (runs, delays + 1, n) under scaled inputs (runs, samples, m)."""
+
+    def simulate(self, x0: ArrayLike, inputs: ArrayLike) -> np.ndarray:
         """Roll out from ``x0`` under ``inputs``, one sample of which acts from its own instant to the next.
 
         Parameters
@@ -173,7 +188,7 @@ class Estimator(BaseEstimator):
         result[:, : d + 1] = np.broadcast_to(x0, (*batch, d + 1, n)).reshape(runs, d + 1, n)
         return result.reshape(*batch, samples, n)
 
-    def predict(self, recording):
+    def predict(self, recording: Recording | Sequence[Recording]) -> np.ndarray | list[np.ndarray]:
         """Roll out every trajectory from its own first state under its own inputs; shaped like ``recording.states``."""
         self.require_fitted()
         recording = self.channels_.matched(recording)
@@ -187,7 +202,22 @@ class Estimator(BaseEstimator):
         states = self.simulate(start if d else start[:, 0], longest)
         return states if np.all(lengths == lengths[0]) else [x[:k] for x, k in zip(states, lengths)]
 
-    def score(self, recording, y=None) -> float:
+    def plot(self, recording: Recording, trajectory: int = 0, ax: "Axes | Sequence[Axes] | None" = None) -> "Figure":
+        """Measured states against simulated ones over one trajectory, the fit in the legend: `tras.compare`.
+
+        Examples
+        --------
+        >>> import tras
+        >>> recording = tras.Recording([[[0.9**k] for k in range(20)]], dt=0.1)
+        >>> model = tras.KoopmanModel(tras.Monomials(1), "one_step").fit(recording)
+        >>> model.plot(recording).axes[0].get_ylabel()
+        'x1'
+        """
+        from tras.display import plots
+
+        return plots.compare(recording, self, trajectory=trajectory, ax=ax)
+
+    def score(self, recording: Recording | Sequence[Recording], y: None = None) -> float:
         """``-mean(NRMSE)`` over the states, in percent, of the roll-outs; ``-inf`` if one of them diverges."""
         predicted = self.predict(recording)
         true = self.channels_.matched(recording).states

@@ -7,9 +7,13 @@ ValueError.
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+if TYPE_CHECKING:
+    from tras.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -142,7 +146,7 @@ def diverged(
     return ~np.logical_and.reduceat(inside, np.cumsum([0, *map(len, true[:-1])]))
 
 
-def divisor(scale):
+def divisor(scale: ArrayLike) -> np.ndarray:
     """The scale itself, to divide by: NaN where it is zero, so that nothing is related to nothing."""
     return np.where(scale > 0, scale, np.nan)
 
@@ -219,7 +223,7 @@ def _positive(scale, what):
     return scale
 
 
-def multi_step_error(predicted, held, n):
+def multi_step_error(predicted: np.ndarray, held: "Recording", n: int) -> float:
     """Root mean square of roll-outs (samples, n', trajectories) in half-ranges; a sample counts 10 at most."""
     error = np.abs(predicted[:, :n].transpose(2, 0, 1) - held.states[..., :n])
     return float(np.sqrt(np.mean(np.minimum(np.nan_to_num(error, nan=10.0), 10.0) ** 2)))

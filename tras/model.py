@@ -1,7 +1,9 @@
 """Identified models: fit, simulate, score, report (paper, Algorithm of Sec. IV and "Model Comparison")."""
 
 import math
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,11 +15,16 @@ from tras.dictionaries.base import Dictionary
 from tras.estimator import Estimator
 from tras.hull import over_a_sample
 from tras.large import streaming
+from tras.large.slices import RecordingFile
 from tras.metrics import multi_step_error
 from tras.predictors import PREDICTORS, Map
 from tras.recording import Recording
 from tras.regularization import METHODS, STRENGTHS
 from tras.workflow import arguments
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 OPTIONS = {
     "predictor": tuple(PREDICTORS),
@@ -26,6 +33,8 @@ OPTIONS = {
     "extrapolation": ("linear", "functions"),
     "columns": ("all", "states"),
 }
+# What a model is fitted to: a recording or several, or what `tras.large.streaming` reads piece by piece.
+Source = Recording | RecordingFile | str | Path | Iterable | Callable[[], Iterable]
 _LEARNT = ("koopman_matrix", "generator", "condition_number")  # by a fit, beside what ends in an underscore
 
 
@@ -105,18 +114,28 @@ class KoopmanModel(Estimator):
     array([-0.5])
     """
 
+    koopman_matrix: np.ndarray
+    generator: np.ndarray
+    condition_number: float
+    rank_: int
+    strength_: float
+    errors_: dict[float, float]
+    dictionary_: Dictionary
+    names_: list[str]
+    pairs_: int
+
     def __init__(
         self,
-        dictionary=None,
-        predictor="vector_field",
-        delays=0,
+        dictionary: Dictionary | None = None,
+        predictor: str = "vector_field",
+        delays: int = 0,
         *,
-        field="coordinates",
-        regularization="shrink",
-        strength="auto",
-        extrapolation="linear",
-        stable=False,
-        columns="all",
+        field: str = "coordinates",
+        regularization: str | None = "shrink",
+        strength: float | str = "auto",
+        extrapolation: str = "linear",
+        stable: float | bool = False,
+        columns: str = "all",
     ):
         self.dictionary = dictionary
         self.predictor = predictor
@@ -128,7 +147,7 @@ class KoopmanModel(Estimator):
         self.stable = stable
         self.columns = columns
 
-    def fit(self, recording, y=None, **streamed) -> "KoopmanModel":
+    def fit(self, recording: Source, y: None = None, **streamed) -> "KoopmanModel":
         """Identify from a `Recording`, or a sequence of recordings with the same channels.
 
         It may be larger than memory: the path of a file, `tras.open_recording(path)`, an `xarray.Dataset` of such a
@@ -146,7 +165,7 @@ class KoopmanModel(Estimator):
         self.check_options()
         return self._conclude(*streaming.absorb(self, recording, **streamed), streamed.get("threads"))
 
-    def partial_fit(self, recording: Recording, y=None) -> "KoopmanModel":
+    def partial_fit(self, recording: Recording, y: None = None) -> "KoopmanModel":
         """Go on with more data: K is then the one of all recordings, scales and centres those of the first.
 
         Raises
@@ -179,7 +198,7 @@ class KoopmanModel(Estimator):
         return self
 
     def _choose_strength(self, scaled, held):
-        self.errors_ = {}
+        self.errors_, reason = {}, None
         for strength in STRENGTHS:
             try:
                 with np.errstate(over="ignore", invalid="ignore"):  # what runs away is counted, not warned of
@@ -188,8 +207,8 @@ class KoopmanModel(Estimator):
                     self.errors_[strength] = multi_step_error(predicted, held, len(self.state_names_))
             except ValueError as error:  # no logarithm, or functions that depend on each other: a stronger one may do
                 self.errors_[strength], reason = math.inf, error
-        best = min(self.errors_, key=self.errors_.get)
-        if math.isinf(self.errors_[best]):
+        best = min(self.errors_, key=self.errors_.__getitem__)
+        if reason is not None and math.isinf(self.errors_[best]):
             raise reason
         return best
 
@@ -199,8 +218,10 @@ class KoopmanModel(Estimator):
         self.condition_number, self.rank_ = least_squares.condition_number, least_squares.rank
         self.residual_, self.pairs_, self.strength_ = least_squares.residual, least_squares.rows, strength
         self.hull_ = self._fit.hull
-        self.outward_ = None if self.hull_ is None else self._fit.outward(least_squares)
-        self.outward_step_ = None if self.hull_ is None else over_a_sample(self.outward_, self.dt_)
+        self.outward_ = self.outward_step_ = None
+        if self.hull_ is not None:
+            self.outward_ = self._fit.outward(least_squares)
+            self.outward_step_ = over_a_sample(self.outward_, self.dt_)
         self._predictor.settle(self, D, least_squares, scaled)
 
     @property
@@ -211,8 +232,8 @@ class KoopmanModel(Estimator):
     def eigenvalues(self) -> np.ndarray:
         """Eigenvalues of K, largest modulus first."""
         self.require_all_columns()
-        eigenvalues = linalg.eigvals(self.koopman_matrix)
-        return eigenvalues[np.lexsort((-eigenvalues.imag, -np.abs(eigenvalues)))]
+        eigenvalues = np.asarray(linalg.eigvals(self.koopman_matrix))
+        return eigenvalues[np.lexsort((-np.imag(eigenvalues), -np.abs(eigenvalues)))]
 
     def lift(self, x: ArrayLike, u: ArrayLike | None = None) -> np.ndarray:
         """``psi(x, u)``, or psi(x) with ``lifted_linear``: (..., n) and (..., m) in physical units -> (..., N)."""
@@ -244,12 +265,42 @@ class KoopmanModel(Estimator):
         self.require_fitted()
         return summary.describe(self, None if recording is None else self.channels_.matched(recording))
 
-    def save(self, path: str | Path):
+    def _repr_html_(self):
+        from tras.display import html
+
+        return html.model_html(self)
+
+    def _repr_mimebundle_(self, **options):
+        """The report, in place of scikit-learn's diagram of the options, which is not about this fit."""
+        bundle = {"text/plain": repr(self)}
+        return bundle | {"text/html": self._repr_html_()} if hasattr(self, "koopman_matrix") else bundle
+
+    def plot_spectrum(self, ax: "Axes | None" = None) -> "Figure":
+        """Eigenvalues of K beside the unit circle, all and near one; in an ``ax`` of your own all.
+
+        Raises
+        ------
+        ValueError
+            If the model is not fitted, or was fitted with ``columns="states"``.
+
+        Examples
+        --------
+        >>> import tras
+        >>> recording = tras.Recording([[[0.9**k] for k in range(20)]], dt=0.1)
+        >>> figure = KoopmanModel(tras.Monomials(1), "one_step").fit(recording).plot_spectrum()
+        >>> [panel.get_title(loc="left") for panel in figure.axes]
+        ['all', 'near one']
+        """
+        from tras.display import plots
+
+        return plots.spectrum_figure(self, ax)
+
+    def save(self, path: str | Path) -> None:
         """Write to ``path`` (.npz: plain arrays and one JSON header, no pickle). Same model, same bytes."""
         self.require_fitted()
         model_file.save(self, path)
 
-    def check_options(self):
+    def check_options(self) -> None:
         """A ValueError on an option that does not exist or does not fit the others."""
         for name, allowed in OPTIONS.items():
             value = getattr(self, name)
@@ -269,7 +320,7 @@ class KoopmanModel(Estimator):
         if self.stable and self.predictor != "lifted_linear":
             raise ValueError(f"stable={self.stable!r} needs predictor='lifted_linear', but it is {self.predictor!r}.")
 
-    def require_fitted(self):
+    def require_fitted(self) -> None:
         """A ValueError unless the model is fitted, with the options that it has now."""
         if not hasattr(self, "koopman_matrix"):
             raise ValueError("the model is not fitted; call fit(recording) first.")
@@ -285,7 +336,7 @@ class KoopmanModel(Estimator):
         K = self.koopman_matrix
         return K if self.columns == "states" else K[:, 1 : 1 + len(self.dictionary_.coordinates)]
 
-    def require_all_columns(self):
+    def require_all_columns(self) -> None:
         """A ValueError unless the model is fitted and knows all of K."""
         self.require_fitted()
         if self.columns == "states":
@@ -325,7 +376,8 @@ def load_model(path: str | Path) -> KoopmanModel:
 
 def _restored(parameters, dictionary, channels, attributes):
     """The model that fit had made, from what its file holds."""
-    model = KoopmanModel(clone(dictionary), **parameters)
+    unfitted: Any = clone(dictionary)
+    model = KoopmanModel(unfitted, **parameters)
     model.dictionary_, model.channels_ = dictionary, channels
     vars(model).update(attributes)
     return model

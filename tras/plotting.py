@@ -4,13 +4,16 @@ To add one, write ``@styled()`` over a function of one or more tables, start wit
 `save_figure`, the table beside it. No pyplot: figures need no display and do not disturb one another.
 """
 
+import io
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any, Literal
 
 import matplotlib.style
 import pandas as pd
 from matplotlib.figure import Figure
 
+from tras.workflow.arguments import short
 from tras.workflow.files import replacing
 
 STYLE = Path(__file__).with_name("tras.mplstyle")
@@ -29,10 +32,34 @@ def styled():
         yield
 
 
+class _Shown(Figure):
+    """A figure that a notebook shows by itself, whether or not pyplot was ever imported."""
+
+    def _repr_png_(self):
+        content = io.BytesIO()
+        with styled():
+            self.savefig(content, format="png", dpi=self.dpi)
+        return content.getvalue()
+
+
+def plain(text: str) -> str:
+    """Text from outside, such as a channel's name, for a figure: no formula, and no sign that hides it from a legend.
+
+    >>> plain("$\\\\frac"), plain("_hidden")
+    ('\\\\$\\\\frac', ' _hidden')
+    """
+    line = short(text).replace("$", r"\$")
+    return f" {line}" if line.startswith("_") else line
+
+
 @styled()
 def new_figure(
-    height: float = 2.4, rows: int = 1, columns: int = 1, sharex: bool | str = True, **subplot_options
-) -> tuple[Figure, object]:
+    height: float = 2.4,
+    rows: int = 1,
+    columns: int = 1,
+    sharex: bool | Literal["none", "all", "row", "col"] = True,
+    **subplot_options,
+) -> tuple[Figure, Any]:
     """An empty figure one column wide, and its axes: one, or an array of them.
 
     Parameters
@@ -44,7 +71,7 @@ def new_figure(
     sharex, **subplot_options
         As for `matplotlib.figure.Figure.subplots`.
     """
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    figure = _Shown(figsize=(WIDTH, height), layout="constrained")
     axes = figure.subplots(rows, columns, sharex=sharex, **subplot_options)
     figure.align_ylabels()
     return figure, axes

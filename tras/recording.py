@@ -1,11 +1,20 @@
 """`Recording`: measured or simulated trajectories with names, units and sampling time (paper, "Data collection")."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Trajectories = ArrayLike | Sequence[ArrayLike]
 _TEST = "test_trajectories"  # attribute: numbers of the trajectories that are for the test
 _RESERVED = ("trajectory", "time", "sample", "row_size")  # columns and dimensions of the table and the file
 
@@ -51,15 +60,15 @@ class Recording:
 
     def __init__(
         self,
-        states,
-        inputs=None,
-        dt=None,
+        states: Trajectories,
+        inputs: Trajectories | None = None,
+        dt: float | None = None,
         *,
-        state_names=None,
-        input_names=None,
-        state_units=None,
-        input_units=None,
-        attributes=None,
+        state_names: Sequence[str] | None = None,
+        input_names: Sequence[str] | None = None,
+        state_units: Sequence[str] | None = None,
+        input_units: Sequence[str] | None = None,
+        attributes: dict | None = None,
     ):
         self.dt = _number(dt)
         if not (math.isfinite(self.dt) and self.dt > 0):
@@ -120,14 +129,14 @@ class Recording:
         """Number of inputs."""
         return len(self.input_names)
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self._states)
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Trajectories as pairs ``(states (samples, n), inputs (samples, m))``, no copies."""
         return zip(self._states, self._inputs)
 
-    def __getitem__(self, index):
+    def __getitem__(self, index: int | slice | Sequence[int] | Sequence[bool] | np.ndarray) -> "Recording":
         """A recording of the trajectory or trajectories at an integer, slice, list of integers or boolean mask."""
         numbers = np.atleast_1d(np.arange(len(self))[index])
         return self._of([self._states[i] for i in numbers], [self._inputs[i] for i in numbers], numbers.tolist())
@@ -135,8 +144,38 @@ class Recording:
     def __repr__(self):
         lengths = self.lengths
         samples = f"{lengths[0]}" if np.all(lengths == lengths[0]) else f"{lengths.min()} to {lengths.max()}"
-        channels = f"states {', '.join(self.state_names)}; inputs {', '.join(self.input_names) or 'none'}"
+        channels = f"states {_listed(self.state_names)}; inputs {_listed(self.input_names) or 'none'}"
         return f"Recording: {len(self)} trajectories of {samples} samples at {self.dt:g} s; {channels}"
+
+    def _repr_html_(self):
+        from tras.display import html
+
+        return html.recording_html(self)
+
+    def plot(self, channels: Sequence[str] | None = None, ax: "Axes | Sequence[Axes] | None" = None) -> "Figure":
+        """Channels over time, one below the other; trajectories one after the other, their beginnings marked.
+
+        Parameters
+        ----------
+        channels : sequence of str, optional
+            At most six. Default: the first states and inputs.
+        ax : matplotlib Axes or sequence of them, optional
+            Where to draw, one per channel. Default: a new figure.
+
+        Raises
+        ------
+        ValueError
+            If there is no such channel, or the axes are not as many.
+
+        Examples
+        --------
+        >>> recording = Recording([[[0.0], [1.0], [0.5]]], dt=0.1, state_names=["q"], state_units=["m"])
+        >>> recording.plot().axes[0].get_title(loc="left")
+        'q (m)'
+        """
+        from tras.display import plots
+
+        return plots.recording_figure(self, channels, ax)
 
     def select(self, *, states: Sequence[str] | None = None, inputs: Sequence[str] | None = None) -> "Recording":
         """The same trajectories with only the named channels, in the order given.
@@ -243,7 +282,7 @@ class Recording:
         order = np.random.default_rng(seed).permutation(len(self))
         return self[np.sort(order[:first])], self[np.sort(order[first:])]
 
-    def to_frame(self):
+    def to_frame(self) -> "pandas.DataFrame":
         """A pandas table: trajectory, time in s, then one column per channel."""
         import pandas
 
@@ -255,7 +294,7 @@ class Recording:
         frame.insert(0, "trajectory", np.repeat(np.arange(len(self)), self.lengths))
         return frame
 
-    def to_xarray(self):
+    def to_xarray(self) -> "xarray.Dataset":
         """An ``xarray.Dataset``: one variable per channel along ``sample``, trajectories one behind the other.
 
         ``row_size`` holds the number of samples of each trajectory (CF conventions, contiguous ragged array). The
@@ -267,7 +306,7 @@ class Recording:
 
         return netcdf.to_xarray(self, _attributes(self.attributes))
 
-    def write(self, path: str | Path):
+    def write(self, path: str | Path) -> None:
         """Write to ``path``: NetCDF-4 (.nc), .csv, .parquet or MATLAB (.mat, version 7). Same content, same bytes.
 
         `read` has everything back, numbers to the last bit. A .nc opens in xarray, MATLAB's ncread and ncdump, a .csv
@@ -359,6 +398,7 @@ class Recording:
         """
         from tras.io import formats, frame, sampling
         from tras.io.roles import RecordingError
+        from tras.workflow.arguments import MissingExtraError
 
         if frame.is_frame(path):
             raise RecordingError(
@@ -371,7 +411,7 @@ class Recording:
         test = [test] if isinstance(test, (str, Path, int)) else test
         try:
             return cls(**formats.read(paths, roles, dt=dt, test=test, wishes=wishes))
-        except FileNotFoundError:
+        except (FileNotFoundError, MissingExtraError):
             raise
         except Exception as error:  # damaged files make the libraries below raise anything
             name = ", ".join(map(str, paths))
@@ -478,19 +518,19 @@ def join(recordings: Recording | Iterable[Recording]) -> Recording:
     if isinstance(recordings, Recording):
         return recordings
     try:
-        recordings = list(recordings)
+        several: list = list(recordings)
     except TypeError:
-        recordings = [recordings]
-    if not recordings or not all(isinstance(r, Recording) for r in recordings):
+        several = [recordings]
+    if not several or not all(isinstance(each, Recording) for each in several):
         raise ValueError(
-            f"recording is {type(recordings[0]).__name__ if recordings else 'empty'}; "
+            f"recording is {type(several[0]).__name__ if several else 'empty'}; "
             "give a tras.Recording or a sequence of them."
         )
-    first = recordings[0]
-    for i, other in enumerate(recordings[1:], start=1):
+    first = several[0]
+    for i, other in enumerate(several[1:], start=1):
         require_alike(first, other, i)
-    joined = first.with_data([x for r in recordings for x, _ in r], [u for r in recordings for _, u in r])
-    joined._hold_back([k for r, before in _offsets(recordings) for k in (before + i for i in r._held_back())])
+    joined = first.with_data([x for each in several for x, _ in each], [u for each in several for _, u in each])
+    joined._hold_back([k for r, before in _offsets(several) for k in (before + i for i in r._held_back())])
     return joined
 
 
@@ -589,6 +629,15 @@ def _check_finite(names, trajectories):
                 f"channel {names[channel]!r} is {array[sample, channel]} in trajectory {i} at sample {sample}; "
                 "repair it or cut the trajectory there."
             )
+
+
+def _listed(names):
+    """Names for one line: the first of many, and how many there are."""
+    from tras.workflow.arguments import short
+
+    if len(names) <= 8:
+        return ", ".join(map(short, names))
+    return f"{', '.join(map(short, names[:6]))}, ... ({len(names)})"
 
 
 def _together(trajectories):

@@ -302,6 +302,15 @@ def test_project_root_is_found_from_below(tmp_path):
         files.project_root(tmp_path / "build")
 
 
+def test_outside_a_checkout_results_go_below_the_working_folder(tmp_path, monkeypatch):
+    (tmp_path / "tras").mkdir()
+    (tmp_path / "deep").mkdir()
+    monkeypatch.chdir(tmp_path / "deep")
+    assert files.working_folder() == tmp_path / "deep"
+    (tmp_path / "pyproject.toml").touch()
+    assert files.working_folder() == tmp_path
+
+
 def test_importing_the_runner_does_not_import_papermill():
     code = "import sys, tras.workflow.runner; sys.exit('papermill' in sys.modules or 'numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0

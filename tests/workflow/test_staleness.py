@@ -85,6 +85,9 @@ HARMLESS = {
     "a module that nobody imports": lambda: change("tras/lonely.py", "", "x = 1"),
     "a new module": lambda: Path("tras/new.py").write_text("x = 1"),
     "a new public name": lambda: change("tras/__init__.py", '"fit": "model"', '"fit": "model", "x": "lonely"'),
+    "the same for editors": lambda: change(
+        "tras/__init__.py", "def __getattr__", "if TYPE_CHECKING:\n    from tras.lonely import x\ndef __getattr__"
+    ),
 }
 
 

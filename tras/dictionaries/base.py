@@ -6,6 +6,7 @@ lifts.
 """
 
 import hashlib
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -73,7 +74,7 @@ class Dictionary(BaseEstimator):
         """The same as `jacobian`, for points in columns: (n + m, points) -> (N, n, points)."""
         return self.lift_with_slopes(z)[1]
 
-    def lift_with_slopes(self, z):
+    def lift_with_slopes(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """`lift` and `lift_slopes` of the same points at once: most slopes are made of the functions' values."""
         psi, slopes = self.lift(z), np.zeros((self.size, self.n_states_, z.shape[1]))
         slopes[self.coordinates, np.arange(self.n_states_)] = 1
@@ -91,11 +92,11 @@ class Dictionary(BaseEstimator):
         """Names of the N functions for the given channel names, states first."""
         return ["1", *channels, *self._tail_names(list(channels))]
 
-    def words(self, channels):
+    def words(self, channels: Sequence[str]) -> str:
         """The dictionary in a few words for a report, channels by their names."""
         return label(self)
 
-    def get_feature_names_out(self, input_features=None):
+    def get_feature_names_out(self, input_features: Sequence[str] | None = None) -> np.ndarray:
         """scikit-learn's name for `feature_names`."""
         return np.array(
             self.names if input_features is None else self.feature_names(list(input_features)), dtype=object
@@ -107,19 +108,20 @@ class Dictionary(BaseEstimator):
         return np.arange(1, 1 + self.n_states_)
 
     @property
-    def confined(self):
+    def confined(self) -> list[int] | None:
         """Numbers of the channels in which the functions are guesswork beyond the data (`tras.hull`); None is all."""
         return None
 
     def _learn(self, z):
         """Nothing depends on the data unless a subclass says so."""
 
-    def restore(self):
+    def restore(self) -> "Dictionary":
         """Ready for use, from what was learnt: also after reading a file."""
         self.size = 1 + self.n_states_ + self.n_inputs_ + self._build()
         return self
 
-    def points(self, x, u):
+    def points(self, x: ArrayLike, u: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:
+        """``x`` (..., n) and ``u`` (..., m) as arrays of floats; without inputs ``u`` is (..., 0)."""
         x, u = _samples(x, u)
         if not hasattr(self, "n_states_"):
             self.fit(x, u)

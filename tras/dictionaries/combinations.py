@@ -1,5 +1,7 @@
 """Dictionaries of dictionaries: the union of several, the product of two."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from sklearn.base import clone
 
@@ -9,7 +11,7 @@ from tras.dictionaries.base import Dictionary
 class _Combination(Dictionary):
     """Several dictionaries of the same channels, made one."""
 
-    def __init__(self, *dictionaries, parts=()):
+    def __init__(self, *dictionaries: Dictionary, parts: Sequence[Dictionary] = ()):
         if len(dictionaries) == 1 and isinstance(dictionaries[0], (list, tuple)):
             (dictionaries,) = dictionaries
         self.parts = list(dictionaries) if dictionaries else parts

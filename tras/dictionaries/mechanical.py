@@ -1,6 +1,7 @@
 """A dictionary for mechanical systems whose inertia and gravity depend on a few positions only."""
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -42,13 +43,19 @@ class Mechanical(Dictionary):
     ['T2(q)', 'T1(q) u', 'T2(q) u', 'T1(q) v', 'T2(q) v', 'v v', 'T1(q) v v', 'T2(q) v v']
     """
 
-    def __init__(self, degree=8, positions=None, velocities=None, shape=None):
+    def __init__(
+        self,
+        degree: int = 8,
+        positions: Sequence[int] | None = None,
+        velocities: Sequence[int] | None = None,
+        shape: Sequence[int] | None = None,
+    ):
         self.degree = degree
         self.positions = positions
         self.velocities = velocities
         self.shape = shape
 
-    def words(self, channels):
+    def words(self, channels: Sequence[str]) -> str:
         shape = ", ".join(channels[i] if i < len(channels) else str(i) for i in self.shape or [0])
         return f"mechanical, degree {self.degree} in {shape}"
 
@@ -72,7 +79,7 @@ class Mechanical(Dictionary):
         return len(terms)
 
     @property
-    def confined(self):
+    def confined(self) -> list[int] | None:
         """The positions: inputs and velocities enter at most quadratically, as mechanics has it everywhere."""
         return self._roles()[0]
 

@@ -1,6 +1,7 @@
 """All products of states and inputs up to a total degree (paper, after (12))."""
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -29,10 +30,10 @@ class Monomials(Dictionary):
     ['1', 'x1', 'x2', 'u1', 'x1^2', 'x1 x2', 'x1 u1', 'x2^2', 'x2 u1', 'u1^2']
     """
 
-    def __init__(self, degree=2):
+    def __init__(self, degree: int = 2):
         self.degree = degree
 
-    def words(self, channels):
+    def words(self, channels: Sequence[str]) -> str:
         return "linear" if self.degree == 1 else f"monomials, degree {self.degree}"
 
     def _build(self):

@@ -1,5 +1,7 @@
 """Radial functions of the distance from centres: Gaussians and thin plates (paper, "Gauss RBF")."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from tras.dictionaries.base import POSITIVE, Dictionary
@@ -11,7 +13,13 @@ CENTRES = ("uniform", "data", "kmeans")
 class Radial(Dictionary):
     """One function of ``|z - c| / width`` for each centre c behind the head: N = 1 + n + m + centres."""
 
-    def __init__(self, n_centres=2, width=1.0, seed=0, centres="uniform"):
+    def __init__(
+        self,
+        n_centres: int = 2,
+        width: float | str = 1.0,
+        seed: int = 0,
+        centres: str = "uniform",
+    ):
         self.n_centres = n_centres
         self.width = width
         self.seed = seed
@@ -102,7 +110,7 @@ class GaussianRBF(Radial):
 
     _word = "gauss"
 
-    def words(self, channels):
+    def words(self, channels: Sequence[str]) -> str:
         return f"{self.n_centres} Gaussians"
 
     def _fill(self, psi, z):
@@ -128,7 +136,13 @@ class ThinPlate(Radial):
 
     _word = "plate"
 
-    def __init__(self, n_centres=28, width="auto", seed=0, centres="kmeans"):
+    def __init__(
+        self,
+        n_centres: int = 28,
+        width: float | str = "auto",
+        seed: int = 0,
+        centres: str = "kmeans",
+    ):
         super().__init__(n_centres, width, seed, centres)
 
     def _fill(self, psi, z):

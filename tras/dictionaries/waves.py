@@ -23,7 +23,7 @@ class Exponentials(Dictionary):
     ['1', 'x1', 'u1', 'exp(-x1)', 'exp(-u1)', 'exp(u1)', 'exp(x1)']
     """
 
-    def __init__(self, order=1, rate=1.0):
+    def __init__(self, order: int = 1, rate: float = 1.0):
         self.order = order
         self.rate = rate
 
@@ -61,7 +61,7 @@ class Fourier(Dictionary):
     ['1', 'x1', 'u1', 'cos(w u1)', 'cos(w x1)', 'sin(w u1)', 'sin(w x1)']
     """
 
-    def __init__(self, order=1, period=4.0):
+    def __init__(self, order: int = 1, period: float = 4.0):
         self.order = order
         self.period = period
 

@@ -7,9 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tras.display.html import in_notebook
 from tras.identification.checks import beyond
 from tras.identification.noise import noise_level
 from tras.identification.scores import CONSTANT
+from tras.workflow import page
+from tras.workflow.arguments import short
 
 
 class Advice(NamedTuple):
@@ -20,15 +23,43 @@ class Advice(NamedTuple):
     text: str
 
 
-WEIGHTS = ("stop", "warning", "note")
+class AdviceList(list):
+    """All advice on an identification, the gravest first. It prints one line for each."""
+
+    def __repr__(self):
+        return "\n".join(f"{weight}: {short(about, 80)}" for weight, about, _ in self) or "no warnings"
+
+    def _repr_html_(self):
+        return in_notebook(self.html())
+
+    def html(self) -> str:
+        """Each with its weight as a sign, a word and a colour."""
+        if not self:
+            return "<p>No warnings.</p>\n"
+        articles = []
+        for weight, about, sentence in self:
+            sign, kind, word = _BADGES[weight]
+            badge = f'<span class="verdict {kind}"><span aria-hidden="true">{sign}</span> {word}</span>'
+            text = f"<p>{page.escape(sentence)}</p>"
+            articles.append(f"<article><h3>{badge} {page.escape(about)}</h3>\n{text}</article>\n")
+        return "".join(articles)
+
+
+# Sign, kind (a class of the page's style sheet) and word.
+_BADGES = {
+    "stop": ("✗", "not", "do not use it so"),
+    "warning": ("!", "named", "warning"),
+    "note": ("i", "uncheckable", "note"),
+}
+WEIGHTS = tuple(_BADGES)
 stop, warning, note = (partial(Advice, weight) for weight in WEIGHTS)
 
 
-def of(identification, log) -> list[Advice]:
+def of(identification, log) -> AdviceList:
     """All advice on an `Identification` of the recording ``log``, the gravest first."""
     about_data = [*_data(identification, log), *_excitation(identification)]
     advice = [*_verdict(identification), *about_data, *_model(identification), *_reach(identification)]
-    return sorted(advice, key=lambda each: WEIGHTS.index(each.weight))
+    return AdviceList(sorted(advice, key=lambda each: WEIGHTS.index(each.weight)))
 
 
 def verdict(identification) -> str:

@@ -1,11 +1,12 @@
-"""From a recording to a model: ``make identify RECORDING=path``.
+"""From a recording to a model: ``make identify RECORDING=path``, or where the package is installed ``tras identify``.
 
     python -m tras.identification.command log.csv [--out FOLDER] [--roles roles.yaml] [--delays 0,2,4] ...
     python -m tras.identification.command "run1.csv run2.csv" --test run3.csv
 
-Runs ``notebooks/identify.ipynb`` on the recording and writes to ``build/identify/NAME``, NAME being the recording's
-name: ``report.html``, the executed notebook, the model, its exports, tables and figures. If the recording cannot be
-used, it prints one sentence, exits with status 2 and leaves the folder as it was.
+Runs ``identify.ipynb``, which is a link to ``notebooks/`` and a file of the installed package, on the recording and
+writes to ``build/identify/NAME`` below the checkout or else the working folder, NAME being the recording's name:
+``report.html``, the executed notebook, the model, its exports, tables and figures. If the recording cannot be used, it
+prints one sentence, exits with status 2 and leaves the folder as it was.
 """
 
 import argparse
@@ -19,18 +20,21 @@ import tempfile
 from pathlib import Path
 
 from tras.io.formats import FORMATS
-from tras.workflow.files import project_root
+from tras.workflow.arguments import MissingExtraError
+from tras.workflow.files import working_folder
 from tras.workflow.parameters import ParameterError, check_parameters, notebook_defaults
 from tras.workflow.runner import Interrupted, RunError, interruptible, run_notebook
 
 # Errors that are a sentence about the recording or the call, not a fault of the program.
-_SENTENCES = ("RecordingError", "ValueError", "LogarithmError", "FileNotFoundError")
+_SENTENCES = ("RecordingError", "ValueError", "LogarithmError", "FileNotFoundError", "MissingExtraError")
+MODULE = "python -m tras.identification.command"  # what make runs
+NOTEBOOK = Path(__file__).with_name("identify.ipynb")
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None, program: str = MODULE) -> int:
     """Command line; returns 0, 1 (the run failed), 2 (the recording or the call is wrong), 130 or 143 (interrupted)."""
-    options = _parser().parse_args(arguments)
-    root = project_root(Path(__file__).parent)
+    options = _parser(program).parse_args(arguments)
+    root = working_folder()
     try:
         typed = {"RECORDING": options.recording, "TEST": options.test}
         options.recording, options.test = (_files(name, text) for name, text in typed.items())
@@ -38,13 +42,13 @@ def main(arguments: list[str] | None = None) -> int:
         out = options.out or root / "build" / "identify" / (options.recording[0].stem + more)
         parameters = _parameters(options, out, root)
         with interruptible():
-            seconds = _run(root / "notebooks" / "identify.ipynb", out, parameters)
-    except ParameterError as error:
+            seconds = _run(out, parameters, root)
+    except (ParameterError, MissingExtraError) as error:
         print(error, file=sys.stderr)
         return 2
     except RunError as error:
         plain = error.name in _SENTENCES
-        print(_advised(error.words, options, typed) if plain else error, file=sys.stderr)
+        print(_advised(error.words, options, typed, program) if plain else error, file=sys.stderr)
         return 2 if plain else 1
     except OSError as error:
         print(f"{error.filename}: {error.strerror}" if error.filename else error, file=sys.stderr)
@@ -59,10 +63,10 @@ def main(arguments: list[str] | None = None) -> int:
 class _Parser(argparse.ArgumentParser):
     def error(self, message):
         """Print one sentence instead of the whole usage."""
-        self.exit(2, f"{message}; see python -m tras.identification.command --help.\n")
+        self.exit(2, f"{message}; see {self.prog} --help.\n")
 
 
-def _advised(words, options, typed):
+def _advised(words, options, typed, program):
     """The sentence, with the variables of make that it asks for, and in its command all that was given before."""
     lines = []
     for line in words.split("\n"):
@@ -71,14 +75,24 @@ def _advised(words, options, typed):
             recording = f"RECORDING={shlex.quote(typed['RECORDING'].replace('$', '$$'))}"
             line = f"  make identify {recording}{line[line.index(' TIME=') :]}"
             line += "".join(f" {name}={shlex.quote(text)}" for name, text in others.items() if text)
+            line = line if program == MODULE else _without_make(line, program)
         lines.append(line)
-    hint = " With make: RESAMPLE=, for example RESAMPLE=0.01." if "resample=" in words else ""
+    hint = (
+        " With make: RESAMPLE=, for example RESAMPLE=0.01. With tras: --resample 0.01." if "resample=" in words else ""
+    )
     return "\n".join(lines) + hint
+
+
+def _without_make(line, program):
+    """The line for make as one of ``program``, which takes the same options."""
+    recording, *others = (word.partition("=")[::2] for word in shlex.split(line.replace("$$", "$"))[2:])
+    options = [f"--{name.lower()} {shlex.quote(text)}" for name, text in others]
+    return " ".join([f"  {program}", shlex.quote(recording[1]), *options])
 
 
 def _others(options):
     """(variable of make, text) of the options that are no roles or files, where they are not the defaults."""
-    defaults = vars(_parser().parse_args(["-"]))
+    defaults = vars(_parser("").parse_args(["-"]))
     roles = ("recording", "test", "roles", "states", "inputs", "time", "trial", "dt")
     names = {"start": "FROM", "end": "TO"}
     for name, value in vars(options).items():
@@ -86,8 +100,8 @@ def _others(options):
             yield names.get(name, name.upper()), ",".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
-def _parser():
-    parser = _Parser(prog="python -m tras.identification.command", description="Identify a system from a recording.")
+def _parser(program):
+    parser = _Parser(prog=program, description="Identify a system from a recording.")
     add = parser.add_argument
     add("recording", help="a file, several with blanks between, or a pattern such as 'run*.csv'")
     add("--test", default="", help="more files, or numbers of trials, that are the test")
@@ -166,7 +180,7 @@ def _parameters(options, out, root):
     parameters["recording"] = [_inside(path, root) for path in options.recording]
     parameters["test"] = [_inside(each, root) if isinstance(each, Path) else each for each in options.test]
     del parameters["out"]
-    return check_parameters(parameters, notebook_defaults(root / "notebooks" / "identify.ipynb"), "the command line")
+    return check_parameters(parameters, notebook_defaults(NOTEBOOK), "the command line")
 
 
 def _inside(path, root):
@@ -175,12 +189,12 @@ def _inside(path, root):
     return path.relative_to(root).as_posix() if path.is_relative_to(root) else str(path)
 
 
-def _run(notebook, out, parameters):
+def _run(out, parameters, root):
     """Run the notebook in a folder beside ``out``, and move the executed notebook into ``out`` at the very end."""
     out.parent.mkdir(parents=True, exist_ok=True)
     aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.run.", dir=out.parent))
     try:
-        seconds = run_notebook(notebook, aside / "identify.ipynb", parameters)
+        seconds = run_notebook(NOTEBOOK, aside / "identify.ipynb", parameters, folder=root)
         for name in ("identify.json", "identify.ipynb"):
             os.replace(aside / name, out / name)
     except RunError as error:

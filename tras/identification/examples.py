@@ -99,18 +99,19 @@ def write_log(recording: Recording, path: Path) -> None:
         table.to_csv(temporary, index=False, float_format="%.6g", lineterminator="\n")
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None, program: str = "python -m tras.identification.examples") -> int:
     """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser("python -m tras.identification.examples", description="Write an example.")
-    parser.add_argument("system", choices=sorted(SYSTEMS))
-    parser.add_argument("path", type=Path, help="where the CSV goes")
+    parser = argparse.ArgumentParser(program, description="Write an example.")
+    parser.add_argument("system", choices=sorted(SYSTEMS), nargs="?", default="duffing", help="default: %(default)s")
+    parser.add_argument("path", type=Path, nargs="?", help="where the CSV goes (default: SYSTEM.csv here)")
     options = parser.parse_args(arguments)
+    path = options.path or Path(f"{options.system}.csv")
     try:
-        write_log(example(options.system), options.path)
+        write_log(example(options.system), path)
     except OSError as error:
         print(error, file=sys.stderr)
         return 1
-    print(f"{options.path}  {options.path.stat().st_size / 1e3:.0f} kB")
+    print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
     return 0
 
 

@@ -8,6 +8,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 import pandas as pd
 
+from tras.display import plots
 from tras.export.c import to_c
 from tras.export.common import to_statespace
 from tras.export.equations import formulas
@@ -22,7 +23,6 @@ from tras.workflow import page
 from tras.workflow.files import umask
 
 LISTING = "contents.csv"
-_CURVE = 3000  # samples of the recording that the figure shows
 _READABLE = 300  # functions; of more no formulas are written
 
 
@@ -138,15 +138,15 @@ def _figures(identification, folder):
     """Draw and save every figure: its name -> its picture for the page."""
     recording, model = identification.recording, identification.model
     names, units, inputs = list(recording.state_names), list(recording.state_units), list(recording.input_names)
-    states = max(figures.MOST // 2, figures.MOST - recording.m)  # leaves room for inputs
+    states = max(plots.MOST // 2, plots.MOST - recording.m)  # leaves room for inputs
     channels = [*names[:states], *inputs], [*units[:states], *recording.input_units]
     of_model = identification.overlay, list(model.state_names_), list(model.state_units_)
     drawings = {
-        "data": (figures.data_figure, _curves(recording), *channels),
+        "data": (plots.data_figure, plots.curves(recording), *channels),
         "spectra": (figures.spectra_figure, identification.checks.spectrum, names, inputs),
         "predictions": (figures.prediction_figure, *of_model),
         "growth": (figures.growth_figure, identification.growth),
-        "spectrum": (figures.eigenvalue_figure, identification.eigenvalues),
+        "spectrum": (plots.eigenvalue_figure, identification.eigenvalues),
     }
     pictures = {}
     for key, (draw, table, *arguments) in drawings.items():
@@ -154,14 +154,6 @@ def _figures(identification, folder):
             save_figure(draw(table, *arguments), table, folder / key)
             pictures[key] = page.picture(folder, key)
     return pictures
-
-
-def _curves(recording):
-    """The recording as one table: ``trajectory``, ``time`` from its beginning, channels; about `_CURVE` rows."""
-    table = recording.to_frame()
-    starts = np.concatenate([[0.0], np.cumsum(recording.lengths[:-1] * recording.dt)])
-    table["time"] += np.repeat(starts, recording.lengths)
-    return table.iloc[:: max(1, len(table) // _CURVE)].reset_index(drop=True)
 
 
 def _exports(identification, stage):

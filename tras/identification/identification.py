@@ -2,13 +2,15 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
 from sklearn.base import clone
 
+from tras.dictionaries.base import label
 from tras.identification import advice, preparation
+from tras.identification.advice import AdviceList, verdict
 from tras.identification.bootstrap import bootstrap, prediction_band
 from tras.identification.checks import Checks, check
 from tras.identification.scores import compare, growth, typical_and_worst
@@ -16,6 +18,10 @@ from tras.identification.search import search, without_first
 from tras.model import KoopmanModel
 from tras.recording import Recording, join
 from tras.solver.threads import one_blas_thread
+from tras.workflow.arguments import short
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FITTED = 2_000_000  # snapshot pairs of the final fit, at most
 TESTED = 60_000  # of the test, at most
@@ -24,7 +30,7 @@ CHOSEN, LINEAR = "model", "linear model"
 
 
 class Identification(NamedTuple):
-    """The result of `identify`."""
+    """The result of `identify`: a notebook shows its verdict, what to mind and the test."""
 
     recording: Recording  # as used: without idle channels
     train: Recording  # the pieces that the model was fitted to
@@ -37,10 +43,26 @@ class Identification(NamedTuple):
     growth: pd.DataFrame
     overlay: pd.DataFrame
     eigenvalues: pd.DataFrame
-    pairs: list  # (position, velocity), names
-    ensemble: list
+    pairs: list[tuple[str, str]]  # (position, velocity), names
+    ensemble: list[KoopmanModel]
     remarks: dict  # step -> sentences
-    advice: list
+    advice: AdviceList
+
+    def __repr__(self):
+        count = f"{len(self.advice)} remark{'' if len(self.advice) == 1 else 's'} in .advice"
+        return f"Identification: {short(label(self.model.dictionary), 80)}. {verdict(self)} {count}"
+
+    def _repr_html_(self):
+        from tras.display.html import in_notebook
+        from tras.identification import page
+
+        return in_notebook(page.summary_html(self))
+
+    def plot(self) -> "Figure":
+        """The typical and the worst window of the test: measured, the model, a linear model, the bootstrap's band."""
+        from tras.identification import figures
+
+        return figures.prediction_figure(self.overlay, list(self.test.state_names), list(self.test.state_units))
 
 
 def identify(
@@ -124,7 +146,7 @@ def _identify(log, predictor, delays, smoothing, draws, seed):
     identification = Identification(
         recording, train, truth, check(recording, max(1, lag // 4)), table, model, linear, metrics,
         growth(runs, truth, latest), _overlay(runs, truth, starts, model, ensemble, latest),
-        _eigenvalues(model, linear), pairs, ensemble, remarks, [],
+        _eigenvalues(model, linear), pairs, ensemble, remarks, AdviceList(),
     )  # fmt: skip
     return identification._replace(advice=advice.of(identification, log))
 

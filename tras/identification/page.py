@@ -11,11 +11,6 @@ from tras.io.formats import remarks
 from tras.io.limits import one_line
 from tras.workflow import page
 
-_WEIGHTS = {
-    "stop": ("✗", "not", "do not use it so"),
-    "warning": ("!", "named", "warning"),
-    "note": ("i", "uncheckable", "note"),
-}
 _ROWS = 40  # of a table on the page; the files have all
 
 
@@ -51,7 +46,7 @@ def write_page(identification, log, name, figures, exports, failures, formulas="
         return page.figure(figures[key], alt, page.escape(caption), key) if key in figures else ""
 
     put(f"# Identification of {_plain(name)}")
-    put("## In short", text(advice.verdict(identification)), _chosen(identification), _advice(identification))
+    put("## In short", text(advice.verdict(identification)), _chosen(identification), identification.advice.html())
     sentences = _list(remarks(log)), _list(step_remarks["pairs"])
     channels = identification.recording.n + identification.recording.m
     more = f"Six of {channels} channels are shown." if channels > 6 else ""
@@ -99,15 +94,10 @@ def _chosen(identification):
     )
 
 
-def _advice(identification):
-    if not identification.advice:
-        return "<p>No warnings.</p>\n"
-    articles = []
-    for weight, about, sentence in identification.advice:
-        sign, kind, word = _WEIGHTS[weight]
-        badge = f'<span class="verdict {kind}"><span aria-hidden="true">{sign}</span> {word}</span>'
-        articles.append(f"<article><h3>{badge} {page.escape(about)}</h3>\n<p>{page.escape(sentence)}</p></article>\n")
-    return "".join(articles)
+def summary_html(identification) -> str:
+    """The verdict, what to mind and the test, for a notebook."""
+    verdict = f"<p>{page.escape(advice.verdict(identification))}</p>\n"
+    return verdict + _chosen(identification) + identification.advice.html() + _metrics(identification)
 
 
 def _size(identification):

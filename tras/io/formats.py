@@ -10,6 +10,7 @@ import hashlib
 import json
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from tras.io.limits import FORMAT, MAX_FILE
 from tras.io.question import screen
 from tras.io.roles import Question, RecordingError, Roles, assign, mapping
 from tras.workflow.files import replacing
+
+if TYPE_CHECKING:
+    from tras.recording import Recording
 
 # Suffix -> its module: open_table(path) returns a `tras.io.limits.Source`, write_recording(recording, header, path).
 FORMATS = {".nc": netcdf, ".csv": text, ".parquet": parquet, ".mat": matlab}
@@ -148,7 +152,7 @@ def _test(origins, tables, trials):
     return [i for i, (table, trial) in enumerate(origins) if table in tables or trial + 1 in trials]
 
 
-def remarks(recording) -> list[str]:
+def remarks(recording: "Recording") -> list[str]:
     """Sentences on what the reader of a file guessed and noticed, or [].
 
     Examples

@@ -8,6 +8,7 @@ import numpy as np
 
 from tras.io.limits import FORMAT, MAX_VALUES, Source, check_heaps
 from tras.io.roles import RecordingError
+from tras.workflow.arguments import extra
 
 _TIME = {"units": "s", "long_name": "time since the trajectory's start"}
 _ROW_SIZE = {"sample_dimension": "sample", "long_name": "samples of each trajectory"}
@@ -15,7 +16,8 @@ _ROW_SIZE = {"sample_dimension": "sample", "long_name": "samples of each traject
 
 def to_xarray(recording, attributes: dict):
     """See `tras.Recording.to_xarray`; ``attributes`` are the recording's, in the types of JSON."""
-    import xarray
+    with extra("netcdf", "a .nc file"):
+        import xarray
 
     frame = recording.to_frame()
     variables = {
@@ -43,7 +45,8 @@ def write_recording(recording, header: dict, path: Path) -> None:
 
 def open_table(path: Path) -> Source:
     """The `Source` of a NetCDF-4 file that `write_recording` has written."""
-    import xarray
+    with extra("netcdf", "a .nc file"):
+        import xarray
 
     check_heaps(path)
     _check_size(path)  # before xarray, which reads the coordinates as it opens a file

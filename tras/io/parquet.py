@@ -5,13 +5,10 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pyarrow
-import pyarrow.compute
-import pyarrow.parquet
-import pyarrow.types as types
 
 from tras.io.limits import MAX_COLUMNS, MAX_TEXT, MAX_VALUES, Source, check_size, one_line
 from tras.io.roles import RecordingError
+from tras.workflow.arguments import extra
 
 _KEY = b"tras"  # of the file's metadata
 # Our columns are numbered from here on; the numbers are stored apart from the metadata, so they show when it is lost.
@@ -21,6 +18,9 @@ _LONGEST_LABEL = 1000  # bytes of a trial's name
 
 def write_recording(recording, header: dict, path: Path) -> None:
     """Write a recording as a table with ``header`` (a dict) in its metadata and checksums of its pages."""
+    with extra("parquet", "a .parquet file"):
+        import pyarrow.parquet
+
     table = pyarrow.Table.from_pandas(recording.to_frame(), preserve_index=False)
     fields = [field.with_metadata({_ID: str(_FIRST + i)}) for i, field in enumerate(table.schema)]
     table = table.cast(pyarrow.schema(fields, metadata={_KEY: json.dumps(header)}))
@@ -29,6 +29,10 @@ def write_recording(recording, header: dict, path: Path) -> None:
 
 def open_table(path: Path) -> Source:
     """The `Source` of a Parquet file: only the columns that have a role are read."""
+    with extra("parquet", "a .parquet file"):
+        import pyarrow.parquet
+        from pyarrow import types
+
     with _damage():
         file = pyarrow.parquet.ParquetFile(path, page_checksum_verification=True, pre_buffer=False)
         schema, rows = file.schema_arrow, file.metadata.num_rows
@@ -65,6 +69,8 @@ def open_table(path: Path) -> Source:
 @contextlib.contextmanager
 def _damage():
     """Turn the library's errors into one sentence."""
+    import pyarrow
+
     try:
         yield
     except (OSError, ValueError, TypeError, KeyError, RuntimeError, MemoryError, pyarrow.ArrowException) as error:
@@ -72,12 +78,16 @@ def _damage():
 
 
 def _is_text(kind):
+    from pyarrow import types
+
     is_any = (types.is_string, types.is_large_string, types.is_binary, types.is_large_binary)
     return any(is_kind(kind) for is_kind in is_any)
 
 
 def _check_kind(kind, name, roles):
     """Refuse a column before it is read: a single row of a list may hold all of the memory."""
+    from pyarrow import types
+
     numeric = (types.is_integer, types.is_floating, types.is_decimal, types.is_boolean, types.is_null)
     if name == roles.trial and name != roles.time:
         if types.is_nested(kind):
@@ -88,6 +98,8 @@ def _check_kind(kind, name, roles):
 
 def _reader(path, file, schema, roles):
     """The open file, or one that reads a trial's names as a dictionary: a text that 1e6 rows share is there once."""
+    import pyarrow.parquet
+
     if roles.trial is None or not _is_text(schema.field(roles.trial).type):
         return file
     # Of the whole groups: a damaged description of a single column ends the process, in the library (pyarrow 26).
@@ -102,6 +114,9 @@ def _reader(path, file, schema, roles):
 
 def _labels(column, name):
     """The trials' names as texts, each text once in memory."""
+    import pyarrow.compute
+    from pyarrow import types
+
     if not types.is_dictionary(column.type):
         column = column.dictionary_encode()
     parts = [np.empty(0, dtype=object)]
@@ -120,6 +135,9 @@ def _labels(column, name):
 
 def _column(column, name, roles):
     """A column as floats; times in seconds since the first, labels of trials as text."""
+    import pyarrow
+    from pyarrow import types
+
     kind = column.type
     if name == roles.trial and name != roles.time:
         return _labels(column, name)

@@ -8,6 +8,8 @@ With torques in N m the equations of motion are linear in the parameters (``J_ps
 so with the accelerations that an identified field F gives, they follow by one linear least-squares problem.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 import pandas as pd
 from sklearn.base import clone
@@ -65,7 +67,7 @@ def lumped_parameters(model: KoopmanModel, recording: Recording) -> pd.Series:
 
 def parameter_intervals(
     model: KoopmanModel, recording: Recording, draws: int = 50, level: float = 0.95, seed: int = 0,
-    pipeline=None, points: Recording | None = None, processes: int = 1,
+    pipeline: Callable[[Recording], KoopmanModel] | None = None, points: Recording | None = None, processes: int = 1,
 ) -> pd.DataFrame:  # fmt: skip
     """The lumped parameters with confidence intervals, by a bootstrap over trajectories.
 

@@ -1,12 +1,14 @@
 """Many fits: every point of a grid, on local processes or a Dask cluster, each result kept as soon as it is there."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
 
 from tras.dictionaries.kinds import KINDS
 from tras.io.formats import checksum
+from tras.model import KoopmanModel
 from tras.recording import Recording
 from tras.sweeps import point as sweep_point
 from tras.sweeps.grid import points as points_of
@@ -17,11 +19,14 @@ from tras.workflow.provenance import versions
 from tras.workflow.study import compute
 
 _RESULTS = {"functions": "Int64", "pairs": "Int64", "condition": float, "strength_used": float, "error": float}
+# Files are read by the workers.
+Recorded = Recording | str | Path | Sequence[Recording | str | Path]
 _COUNTS = {"windows": "Int64", "diverged": "Int64"}
 
 
 def sweep(
-    recording, grid, *, held_out=None, window: float | None = None, train_fraction: float = 0.8,
+    recording: Recorded, grid: dict | KoopmanModel | Sequence[dict | KoopmanModel], *,
+    held_out: Recorded | None = None, window: float | None = None, train_fraction: float = 0.8,
     states: list[str] | None = None, inputs: list[str] | None = None, scheduler: str | None = "processes",
     processes: int | None = None, cache: str | Path | None = None, progress: bool | None = None,
 ) -> pd.DataFrame:  # fmt: skip

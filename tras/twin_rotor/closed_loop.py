@@ -5,10 +5,12 @@ fast against the excitation (0.2 and 0.8 rad/s), slow against the sampling time 
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tras.recording import Recording
 from tras.twin_rotor import plant
@@ -54,7 +56,15 @@ class PID:
         object.__setattr__(self, "limits", torque_limits("limits", self.limits))
 
     @classmethod
-    def pole_placement(cls, inertia, limits, *, frequency=4.0, damping=0.9, integral_rate=1.0) -> "PID":
+    def pole_placement(
+        cls,
+        inertia: float,
+        limits: tuple[float, float],
+        *,
+        frequency: float = 4.0,
+        damping: float = 0.9,
+        integral_rate: float = 1.0,
+    ) -> "PID":
         """``P = J w^2``, ``D = 2 zeta w J``, ``I = P * integral_rate`` for an axis of the given inertia (kg m^2).
 
         ``frequency`` in rad/s, ``integral_rate`` in 1/s.
@@ -76,7 +86,14 @@ class PID:
 
 
 def simulate_closed_loop(
-    reference, dt: float, parameters=None, *, controllers=None, x0=None, step: float = 0.01, attributes=None
+    reference: ArrayLike,
+    dt: float,
+    parameters: PlantParameters | None = None,
+    *,
+    controllers: Sequence[PID] | None = None,
+    x0: ArrayLike | None = None,
+    step: float = 0.01,
+    attributes: dict | None = None,
 ) -> Recording:
     """Follow references with the PID and record everything.
 
@@ -127,7 +144,14 @@ def simulate_closed_loop(
 
 
 def simulate_closed_loops(
-    references, dt: float, parameters=None, *, controllers=None, x0=None, step: float = 0.01, attributes=None
+    references: ArrayLike,
+    dt: float,
+    parameters: PlantParameters | Sequence[PlantParameters] | None = None,
+    *,
+    controllers: Sequence[PID] | None = None,
+    x0: ArrayLike | None = None,
+    step: float = 0.01,
+    attributes: dict | None = None,
 ) -> Recording:
     """Simulate many runs for a Monte Carlo study: other references, initial states or rigs.
 
@@ -166,8 +190,10 @@ def simulate_closed_loops(
     (30, 101, 4)
     """
     references = _references("references", references, "(runs, samples, 2)", dimensions=(2, 3))
-    single = parameters is None or isinstance(parameters, PlantParameters)
-    rigs = [parameters or PlantParameters()] if single else list(parameters)
+    if parameters is None or isinstance(parameters, PlantParameters):
+        rigs = [parameters or PlantParameters()]
+    else:
+        rigs = list(parameters)
     x0 = None if x0 is None else np.asarray(x0, dtype=float)
     references = np.broadcast_to(references, (_runs(references, rigs, x0), *references.shape[-2:]))
     return _simulated(references, dt, rigs, controllers, x0, step, attributes)

@@ -6,6 +6,7 @@ All return (samples, channels) on the grid 0, dt, ..., duration with both ends: 
 import math
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tras.workflow import arguments
 
@@ -14,7 +15,16 @@ PITCH_MAX_FREQUENCY, YAW_MAX_FREQUENCY = 0.2, 0.8  # rad/s
 PITCH_PEAK, YAW_PEAK = 1.22173, math.pi  # rad
 
 
-def multisine(duration, dt, max_frequency, peak, rng, *, max_correlation=0.05, draws=1000) -> np.ndarray:
+def multisine(
+    duration: float,
+    dt: float,
+    max_frequency: ArrayLike,
+    peak: ArrayLike,
+    rng: np.random.Generator | int,
+    *,
+    max_correlation: float = 0.05,
+    draws: int = 1000,
+) -> np.ndarray:
     """Random-phase multisines, one per channel: flat spectrum, low crest factor, low correlation.
 
     Channel ``i`` is the sum of cosines of equal amplitude and random phase at the lines ``2 pi k / duration``, ``k =
@@ -92,7 +102,15 @@ def multisine_lines(duration: float, dt: float, max_frequency: float) -> int:
     return lines
 
 
-def steps(duration: float, dt: float, peak, rng, *, shortest=4.0, longest=10.0) -> np.ndarray:
+def steps(
+    duration: float,
+    dt: float,
+    peak: ArrayLike,
+    rng: np.random.Generator | int,
+    *,
+    shortest: float = 4.0,
+    longest: float = 10.0,
+) -> np.ndarray:
     """Random levels within ``+-peak``, each for a random time between ``shortest`` and ``longest`` seconds.
 
     Channels change independently. Parameters and result as for `multisine`.
@@ -114,7 +132,7 @@ def steps(duration: float, dt: float, peak, rng, *, shortest=4.0, longest=10.0) 
     return np.column_stack(signals)
 
 
-def chirp(duration: float, dt: float, max_frequency, peak) -> np.ndarray:
+def chirp(duration: float, dt: float, max_frequency: ArrayLike, peak: ArrayLike) -> np.ndarray:
     """Sines whose frequency rises linearly from 0 to ``max_frequency`` (rad/s), one per channel, without randomness.
 
     Odd channels are cosines, so that two channels with the same sweep are not the same signal.

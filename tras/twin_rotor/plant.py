@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tras.workflow import arguments
 
@@ -86,7 +87,10 @@ class PlantParameters:
             object.__setattr__(self, name, torque_limits(name, getattr(self, name)))
 
     @classmethod
-    def from_masses(cls, *, m_m, m_t, m_cw, l_m, l_t, l_cw, J_x, J_z, C_phi, C_psi, K_psi, g=9.81, **limits):
+    def from_masses(
+        cls, *, m_m: float, m_t: float, m_cw: float, l_m: float, l_t: float, l_cw: float, J_x: float, J_z: float,
+        C_phi: float, C_psi: float, K_psi: float, g: float = 9.81, **limits: tuple[float, float],
+    ) -> "PlantParameters":  # fmt: skip
         """Lump masses (kg), lengths (m) and the remaining inertias ``J_x``, ``J_z`` (kg m^2) as in the paper's Sec. II.
 
         ``m_cw`` is the mass of ONE of the two counterweights. The paper prints ``2 m_cw l_cw`` in the inertias; the
@@ -98,7 +102,9 @@ class PlantParameters:
         gravity = g * (m_m * l_m - m_t * l_t), 2 * g * m_cw * l_cw  # G_c, G_s
         return cls(*inertias, *gravity, C_phi, C_psi, K_psi, **limits)
 
-    def masses(self, *, l_m=0.202, l_t=0.216, l_cw=0.25, g=9.81) -> dict[str, float]:
+    def masses(
+        self, *, l_m: float = 0.202, l_t: float = 0.216, l_cw: float = 0.25, g: float = 9.81
+    ) -> dict[str, float]:
         """Arguments of `from_masses` that lump into these parameters, for three lengths in m: a dict."""
         m_cw = self.G_s / (2 * g * l_cw)
         levers = 2 * m_cw * l_cw**2
@@ -107,7 +113,7 @@ class PlantParameters:
         lengths = {"l_m": l_m, "l_t": l_t, "l_cw": l_cw}
         return {"m_m": m_m, "m_t": m_t, "m_cw": m_cw, **lengths, "J_x": J_x, "J_z": J_z, "g": g}
 
-    def energy(self, x) -> np.ndarray:
+    def energy(self, x: ArrayLike) -> np.ndarray:
         """Kinetic plus potential energy in J of states ``x`` (..., 4) -> (...).
 
         ``d(energy)/dt = u_phi phidot + u_psi psidot - C_phi phidot^2 - C_psi psidot^2`` along every motion.
@@ -186,7 +192,7 @@ def equations_of_motion(parameters: PlantParameters, functions=np) -> Callable:
     return as_printed if getattr(parameters, "velocity_term", "corrected") == "as_printed" else accelerations
 
 
-def vector_field(x, u, parameters: PlantParameters) -> np.ndarray:
+def vector_field(x: ArrayLike, u: ArrayLike, parameters: PlantParameters) -> np.ndarray:
     """``dx/dt = F(x, u)``: states (..., 4) and torques (..., 2) in N m -> (..., 4).
 
     Raises
@@ -207,7 +213,7 @@ def vector_field(x, u, parameters: PlantParameters) -> np.ndarray:
     return np.stack(np.broadcast_arrays(phidot, phiddot, psidot, psiddot), axis=-1)
 
 
-def jacobian(x, u, parameters: PlantParameters) -> tuple[np.ndarray, np.ndarray]:
+def jacobian(x: ArrayLike, u: ArrayLike, parameters: PlantParameters) -> tuple[np.ndarray, np.ndarray]:
     """Linearisation at (x, u): ``A = dF/dx`` (..., 4, 4) and ``B = dF/du`` (..., 4, 2).
 
     Examples
@@ -241,7 +247,7 @@ def jacobian(x, u, parameters: PlantParameters) -> tuple[np.ndarray, np.ndarray]
     return A, B
 
 
-def rest_point(parameters: PlantParameters, torques=(0.0, 0.0)) -> np.ndarray:
+def rest_point(parameters: PlantParameters, torques: ArrayLike = (0.0, 0.0)) -> np.ndarray:
     """The stable rest state (4,) under constant torques (N m), counterweight below the pivot.
 
     Raises
@@ -267,7 +273,9 @@ def rest_point(parameters: PlantParameters, torques=(0.0, 0.0)) -> np.ndarray:
     return np.array([phi, 0.0, u_psi / parameters.K_psi if u_psi else 0.0, 0.0])
 
 
-def simulate_plant(x0, torques, dt: float, parameters: PlantParameters, *, step: float = 0.01) -> np.ndarray:
+def simulate_plant(
+    x0: ArrayLike, torques: ArrayLike, dt: float, parameters: PlantParameters, *, step: float = 0.01
+) -> np.ndarray:
     """States at the sampling instants under torques that are held from one sample to the next.
 
     Parameters

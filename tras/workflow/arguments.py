@@ -1,8 +1,14 @@
-"""Checks of arguments: a wrong number, seed or name is refused in one sentence that says what to give instead."""
+"""Checks of arguments: a wrong number, seed or name is refused in one sentence that says what to give instead.
 
+The name of the project on a package index stands here too, for the sentence about a library that only an extra brings.
+"""
+
+import contextlib
 import difflib
 import math
 import numbers
+
+DISTRIBUTION = "tras-koopman"  # `tras` is another project there
 
 
 def number(name: str, value, low=-math.inf, high=math.inf, *, ends=True, give="", error=ValueError) -> None:
@@ -39,6 +45,16 @@ def seed(name: str, value, purpose: str) -> None:
         raise ValueError(f"{name} is {value!r}; {remedy}.")
 
 
+def short(text: str, most: int = 40) -> str:
+    """A name from a file for people to read: on one line, cut where it is long, without unprintable characters.
+
+    >>> short("pitch" + chr(10) + "angle" + chr(7)), short("a" * 50, 10)
+    ('pitch angle�', 'aaaaaaaaa…')
+    """
+    line = "".join(letter if letter.isprintable() else "\ufffd" for letter in " ".join(str(text).split()))
+    return line if len(line) <= most else f"{line[: most - 1]}…"
+
+
 def did_you_mean(name, known) -> str:
     """The end of a sentence about a name that is not among those that are known.
 
@@ -48,6 +64,27 @@ def did_you_mean(name, known) -> str:
     known = list(map(str, known))
     close = difflib.get_close_matches(str(name), known, 1)
     return f": did you mean {close[0]!r}?" if close else f": choose one of {', '.join(known) or 'none'}."
+
+
+class MissingExtraError(ImportError):
+    """A library is not installed that only an extra of the package brings."""
+
+
+@contextlib.contextmanager
+def extra(name: str, purpose: str):
+    """Round imports of libraries that the extra ``name`` brings: one that is missing is named, and how to get it.
+
+    >>> with extra("cluster", "a scheduler"):
+    ...     import no_such_library
+    Traceback (most recent call last):
+        ...
+    tras.workflow.arguments.MissingExtraError: a scheduler needs no_such_library, which is not installed: ...
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        remedy = f"pip install '{DISTRIBUTION}[{name}]'"
+        raise MissingExtraError(f"{purpose} needs {error.name}, which is not installed: {remedy}.") from None
 
 
 def _range(kind, low, high, ends):

@@ -11,7 +11,7 @@ import queue
 import sys
 from concurrent import futures
 
-from tras.workflow.arguments import whole_number
+from tras.workflow.arguments import extra, whole_number
 from tras.workflow.processes import Lost, run_locally
 from tras.workflow.provenance import versions
 
@@ -88,8 +88,9 @@ def _in_turn(done):
 
 def _dask(work, jobs, shared, address, alike):
     """As `run_locally`; the scheduler gives the jobs of a lost worker to another one."""
-    import dask
-    from distributed import Client
+    with extra("cluster", "a scheduler"):
+        import dask
+        from distributed import Client
 
     _require_answer(address)
     with _hushed(), dask.config.set(_LARGE), Client(address, timeout=_PATIENCE, set_as_default=False) as client:

@@ -91,6 +91,14 @@ def project_root(start: str | Path | None = None) -> Path:
     raise FileNotFoundError(f"no folder with pyproject.toml and tras/ at or above {start}: {remedy}.")
 
 
+def working_folder() -> Path:
+    """The `project_root` at or above the working folder, or outside a checkout the working folder itself."""
+    try:
+        return project_root()
+    except FileNotFoundError:
+        return Path.cwd()
+
+
 def umask() -> int:
     """The permissions that new files of this process do not get."""
     mask = os.umask(0)

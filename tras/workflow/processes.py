@@ -37,7 +37,7 @@ def run_locally(work, jobs, shared, count=None):
     A job whose process was killed is done again after all others: alone, with all memory to itself.
     """
     import cloudpickle
-    from dask.system import cpu_count
+    from joblib import cpu_count  # which scikit-learn brings: knows the limits of a container
 
     together = cloudpickle.dumps((work, shared))  # functions of a notebook by value
     waiting, suspects, running, deaths = deque(range(len(jobs))), deque(), {}, Counter()

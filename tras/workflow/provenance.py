@@ -15,10 +15,13 @@ from datetime import datetime
 from importlib import metadata
 from pathlib import Path
 
+from tras.workflow.arguments import DISTRIBUTION
 from tras.workflow.files import replacing
 
 FOLDER = "provenance"
 ROOT = Path(__file__).parents[2]
+IN_CHECKOUT = (ROOT / "pyproject.toml").is_file()  # else installed, perhaps below a checkout of something else
+_NO_GIT = {"revision": None, "dirty": None, "changed": None}
 # What outside the code decides the last bits: threads, the kernels of BLAS, NumPy and libm, the order of sets.
 VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "PYTHONHASHSEED", "OPENBLAS_CORETYPE",
              "NPY_DISABLE_CPU_FEATURES", "NPY_ENABLE_CPU_FEATURES", "GLIBC_TUNABLES")  # fmt: skip
@@ -31,7 +34,7 @@ def record(notebook: Path, parameters: dict, outputs: list[Path], started: datet
         "notebook": str(notebook),
         "parameters": parameters,
         "seeds": {name: value for name, value in parameters.items() if "seed" in name},
-        "git": git_state(notebook.resolve().parent, outputs),
+        "git": git_state(notebook.resolve().parent, outputs) if IN_CHECKOUT else dict(_NO_GIT),
         "python": platform.python_version(),
         "packages": packages(),
         "environment": checksum(ROOT / "environment.txt"),
@@ -77,7 +80,7 @@ def git_state(folder: Path, outputs=()) -> dict:
         top = Path(_git(folder, "rev-parse", "--show-toplevel").strip())
         status = _git(folder, "status", "--porcelain", "-z", "--no-renames")
     except (OSError, subprocess.CalledProcessError):
-        return {"revision": None, "dirty": None, "changed": None}
+        return dict(_NO_GIT)
     changed = {entry[3:] for entry in status.split("\0") if entry}
     changed = sorted(name for name in changed if (top / name).resolve() not in {output.resolve() for output in outputs})
     return {"revision": revision, "dirty": bool(changed), "changed": changed[:20]}
@@ -99,9 +102,15 @@ def versions() -> dict[str, str]:
 
 
 def packages() -> dict[str, str | None]:
-    """Versions of the direct dependencies, which `environment.in` lists; None for one that is not installed."""
+    """Versions of the direct dependencies, which `environment.in` lists, or the installed package's own metadata.
+
+    None for one that is not installed.
+    """
     requirements = ROOT / "environment.in"
-    text = requirements.read_text(encoding="utf-8") if requirements.exists() else ""
+    if requirements.exists():
+        text = requirements.read_text(encoding="utf-8")
+    else:
+        text = "" if IN_CHECKOUT else "\n".join(metadata.requires(DISTRIBUTION) or [])
     installed = {}
     for name in re.findall(r"^[A-Za-z0-9_.-]+", text, re.MULTILINE):
         try:

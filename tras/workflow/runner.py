@@ -19,6 +19,7 @@ import time
 from pathlib import Path
 
 from tras.workflow import provenance
+from tras.workflow.arguments import DISTRIBUTION, extra
 from tras.workflow.files import replacing
 from tras.workflow.parameters import ParameterError, check_parameters, notebook_defaults, parse_settings, read_params
 
@@ -39,7 +40,9 @@ class Interrupted(KeyboardInterrupt):
     received = False  # the kernel manager asks here whether to wait for the kernel's farewell
 
 
-def run_notebook(notebook: str | Path, executed: str | Path, parameters: dict | None = None, outputs=()) -> float:
+def run_notebook(
+    notebook: str | Path, executed: str | Path, parameters: dict | None = None, outputs=(), folder=None
+) -> float:
     """Execute a notebook; its executed copy appears under its final name only if everything went well.
 
     Parameters
@@ -50,6 +53,8 @@ def run_notebook(notebook: str | Path, executed: str | Path, parameters: dict | 
         Name -> value, already checked: they replace the defaults.
     outputs : sequence of str or Path
         Files that the notebook must write.
+    folder : str or Path, optional
+        Where it runs. Default: its own folder, as JupyterLab has it.
 
     Returns
     -------
@@ -70,7 +75,7 @@ def run_notebook(notebook: str | Path, executed: str | Path, parameters: dict | 
         leftover.unlink(missing_ok=True)
     start, started = time.time(), datetime.datetime.now(datetime.UTC)
     try:
-        _execute(notebook, running, parameters or {})
+        _execute(notebook, running, parameters or {}, folder or notebook.resolve().parent)
         _check_outputs(outputs, start, notebook)
         seconds = time.time() - start
         parameters = notebook_defaults(notebook) | (parameters or {})
@@ -90,15 +95,16 @@ def run_notebook(notebook: str | Path, executed: str | Path, parameters: dict | 
         raise
 
 
-def _execute(notebook, running, parameters):
+def _execute(notebook, running, parameters, folder):
     """Papermill, with its failures as one RunError."""
     for name, value in PINNED.items():
         os.environ.setdefault(name, value)
     sys.modules.setdefault("rfc3987_syntax", None)  # optional, not needed, 1.1 s of imports
-    import papermill
-    from jupyter_client import AsyncKernelManager
-    from jupyter_client.kernelspec import NoSuchKernel
-    from nbclient.exceptions import CellTimeoutError, DeadKernelError
+    with extra("notebooks", "running a notebook"):
+        import papermill
+        from jupyter_client import AsyncKernelManager
+        from jupyter_client.kernelspec import NoSuchKernel
+        from nbclient.exceptions import CellTimeoutError, DeadKernelError
 
     guards = []
 
@@ -121,7 +127,6 @@ def _execute(notebook, running, parameters):
 
     try:
         how = {"kernel_name": KERNEL, "kernel_manager_class": Manager, "progress_bar": sys.stderr.isatty()}
-        folder = notebook.resolve().parent  # as JupyterLab has it
         papermill.execute_notebook(notebook, running, parameters, cwd=folder, **how)
         for guard in guards:
             guard.stdin.write(b"done\n")
@@ -135,7 +140,7 @@ def _execute(notebook, running, parameters):
         problem = f"the kernel ended in the middle of a cell ({error}); was the memory enough?"
         raise RunError(f"{notebook.stem}: {problem}") from None
     except NoSuchKernel:
-        remedy = "run `make setup` and use .venv"
+        remedy = f"run `make setup` and use .venv, or pip install '{DISTRIBUTION}[notebooks]'"
         raise RunError(f"{notebook.stem}: this Python has no kernel `{KERNEL}`: {remedy}.") from None
     finally:
         for guard in guards:

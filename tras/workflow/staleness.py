@@ -61,10 +61,15 @@ def nodes(tree: ast.AST):
     while todo:
         node = todo.pop()
         yield node
-        if isinstance(node, ast.If) and getattr(node.test, "id", getattr(node.test, "attr", "")) == "TYPE_CHECKING":
+        if _for_types(node):
             todo.extend(node.orelse)
         else:
             todo.extend(ast.iter_child_nodes(node))
+
+
+def _for_types(node):
+    """Whether this is `if TYPE_CHECKING:`."""
+    return isinstance(node, ast.If) and getattr(node.test, "id", getattr(node.test, "attr", "")) == "TYPE_CHECKING"
 
 
 class Package:
@@ -181,6 +186,7 @@ class Package:
         body = tree.body
         if module == self.name:  # a new line of the table concerns only who uses it
             body = [node for node in body if TABLE not in [getattr(t, "id", "") for t in getattr(node, "targets", [])]]
+            body = [node for node in body if not _for_types(node)]  # the same table once more, for editors
         code = "\n".join(ast.dump(node) for node in body)
         data = {f"{self.name}/{path.name}": digest(path.read_bytes()) for path in self.data if path.name in code}
         return {module: digest(code)} | data

@@ -1,0 +1,271 @@
+"""Plots of recordings and models: channels over time, measured against simulated, eigenvalues.
+
+Each function draws a figure one column wide, or into axes of the caller's own, and returns the figure. Truth and
+predictions differ by their dashes, not by colour alone; names of channels are text, whatever they hold.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from tras import metrics
+from tras.dictionaries.base import label
+from tras.plotting import LINEAR, MODEL, TRUTH, new_figure, plain, require, styled
+
+if TYPE_CHECKING:
+    from tras.estimator import Estimator
+    from tras.model import KoopmanModel
+    from tras.recording import Recording
+
+MOST = 6  # panels; others on request
+CURVE = 3000  # samples of a curve, about
+_MODELS = [
+    MODEL,
+    LINEAR,
+    {"color": "#009E73", "linestyle": "-.", "linewidth": 1.1},
+    {"color": "#CC79A7", "linestyle": (0, (6, 1.5, 1, 1.5, 1, 1.5)), "linewidth": 1.1},
+    {"color": "0.5", "linestyle": (0, (9, 2)), "linewidth": 1.1},
+]
+_MARKERS = [
+    {"marker": "o", "markerfacecolor": "none", "color": "#0072B2", "markersize": 4},
+    {"marker": "x", "color": "#D55E00", "markersize": 4.5},
+]
+
+
+def with_units(names: Sequence[str], units: Sequence[str]) -> list[str]:
+    """Labels of axes: names with their units in brackets, ready to be drawn."""
+    return [plain(f"{name} ({unit})" if unit else name) for name, unit in zip(names, units)]
+
+
+def curves(recording: "Recording") -> pd.DataFrame:
+    """The recording as one table: ``trajectory``, ``time`` from its beginning, channels; about `CURVE` rows."""
+    table = recording.to_frame()
+    starts = np.concatenate([[0.0], np.cumsum(recording.lengths[:-1] * recording.dt)])
+    table["time"] += np.repeat(starts, recording.lengths)
+    return table.iloc[:: max(1, len(table) // CURVE)].reset_index(drop=True)
+
+
+@styled()
+def data_figure(table: pd.DataFrame, names: list[str], units: list[str], ax=None) -> Figure:
+    """The recording: every channel over time, trajectories one after the other, their beginnings marked.
+
+    The table has ``trajectory, time`` (s, from the recording's beginning) and one column per channel; at most six
+    channels are shown.
+    """
+    require(table, "table", ["trajectory", "time", *names])
+    names, units = names[:MOST], units[:MOST]
+    panels = _panels(ax, len(names), height=0.75 * len(names) + 0.55)
+    first = np.flatnonzero(table["trajectory"].diff() > 0)
+    begins, time = table["time"].iloc[first], np.insert(np.asarray(table["time"]), first, np.nan)
+    for panel, name, title in zip(panels, names, with_units(names, units)):
+        values = np.insert(
+            np.asarray(table[name], dtype=float), first, np.nan
+        )  # no line from one trajectory to the next
+        panel.plot(time, values, color="black", linestyle="-", linewidth=0.6)
+        panel.set_title(title, fontsize=8, pad=2)
+        for begin in begins if len(begins) <= 40 else ():
+            panel.axvline(begin, color="0.8", linewidth=0.4, linestyle="-", zorder=0)
+    panels[-1].set_xlabel("time (s)")
+    return panels[0].figure
+
+
+def recording_figure(recording: "Recording", channels: Sequence[str] | None = None, ax=None) -> Figure:
+    """See `tras.Recording.plot`."""
+    units = dict(zip(recording.state_names, recording.state_units)) | dict(
+        zip(recording.input_names, recording.input_units)
+    )
+    if channels is None:
+        states = max(MOST // 2, MOST - recording.m)  # leaves room for inputs
+        channels = [*recording.state_names[:states], *recording.input_names][:MOST]
+    channels = _chosen("channels", channels, list(units))
+    return data_figure(curves(recording), channels, [units[name] for name in channels], ax)
+
+
+@styled()
+def compare(
+    recording: "Recording",
+    *models: "Estimator",
+    names: Sequence[str] | None = None,
+    states: Sequence[str] | None = None,
+    trajectory: int = 0,
+    ax: "Axes | Sequence[Axes] | None" = None,
+) -> Figure:
+    """Measured states against those that models simulate from the first samples under the recording's inputs.
+
+    The legend says how well each model fits what is shown: 100 % times one minus the norm of the error over that of the
+    measured state's distance from its mean, 0 % where it is no better than that mean (`tras.metrics.bfr`).
+
+    Parameters
+    ----------
+    recording : Recording
+        Best one that no model was fitted to.
+    *models : KoopmanModel
+        Fitted, at most five.
+    names : sequence of str, optional
+        One per model, for the legend. Default: what their dictionaries are called.
+    states : sequence of str, optional
+        At most six. Default: the first six that the models predict.
+    trajectory : int
+        The one to show.
+    ax : matplotlib Axes or sequence of them, optional
+        Where to draw, one per state. Default: a new figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    ValueError
+        If there is no model, one is not fitted or has other channels, or there is no such state or trajectory.
+
+    Examples
+    --------
+    >>> import numpy as np, tras
+    >>> x = np.exp(-0.1 * np.arange(50))[:, None] * [[1.0, -2.0]]
+    >>> recording = tras.Recording([x[:, :1], x[:, 1:]], dt=0.1)
+    >>> model = tras.KoopmanModel(tras.Monomials(1), "one_step").fit(recording)
+    >>> figure = tras.compare(recording, model, names=["decay"])
+    >>> [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    ['measured', 'decay: 100 %']
+    """
+    for model in models:
+        if not hasattr(model, "require_fitted"):
+            raise ValueError(f"models holds a {type(model).__name__}; give fitted models such as tras.KoopmanModel.")
+        model.require_fitted()
+    if not 1 <= len(models) <= len(_MODELS):
+        raise ValueError(f"there are {len(models)} models; give 1 to {len(_MODELS)}.")
+    if names is not None and (isinstance(names, str) or len(names) != len(models)):
+        raise ValueError(f"names is {names!r}; give a list of {len(models)}, one per model.")
+    if (
+        isinstance(trajectory, bool)
+        or not isinstance(trajectory, (int, np.integer))
+        or trajectory not in range(-len(recording), len(recording))
+    ):
+        raise ValueError(f"trajectory is {trajectory!r}; give a whole number from 0 to {len(recording) - 1}.")
+    predicted = [name for name in recording.state_names if any(name in model.state_names_ for model in models)]
+    states = _chosen("states", predicted[:MOST] if states is None else states, predicted)
+    shown = recording[int(trajectory)]
+    latest = max(model.delays for model in models)
+    runs = [_simulated(model, shown, latest) for model in models]
+    names = _names(models) if names is None else names
+    longest = max(len(f"{plain(name)}: 100 %") for name in names)
+    columns = max(1, min(len(models) + 1, int(3.2 / (0.4 + 0.055 * longest))))
+    rows = -(-(len(models) + 1) // columns)
+    panels = _panels(ax, len(states), height=(0.72 + 0.14 * rows) * len(states) + 0.35)
+    time = np.arange(len(shown.states[0])) * shown.dt
+    units = dict(zip(recording.state_names, recording.state_units))
+    for panel, state in zip(panels, states):
+        true = shown.select(states=[state]).states[0][:, 0]
+        reach = 1.5 * max(float(np.ptp(true)), 1e-300)
+        lines, legend = panel.plot(time, true, **TRUTH, zorder=3), ["measured"]
+        for name, run, style in zip(names, runs, _MODELS):
+            if state in run:
+                values, fit = run[state]
+                inside = (values >= true.min() - reach) & (values <= true.max() + reach)  # False for NaN
+                lines += panel.plot(time[latest:], np.where(inside, values, np.nan), **style)
+                legend.append(f"{plain(name)}: {fit}")
+        panel.set_ylabel(with_units([state], [units[state]])[0])
+        panel.legend(lines, legend, loc="lower left", bbox_to_anchor=(0, 1), ncols=columns, columnspacing=1.0)
+    which = f", trajectory {trajectory} of {len(recording)}" if len(recording) > 1 else ""
+    panels[-1].set_xlabel(f"time (s){which}")
+    return panels[0].figure
+
+
+@styled()
+def eigenvalue_figure(table: pd.DataFrame, ax=None) -> Figure:
+    """Eigenvalues of Koopman matrices with the unit circle, whole and near one; whole alone in axes of one's own.
+
+    The table has ``model`` (one name or two), ``real, imag``.
+    """
+    require(table, "table", ["model", "real", "imag"])
+    if ax is None:
+        figure, (whole, near) = new_figure(height=2.35, columns=2, sharex=False)
+    else:
+        (whole,), near = _panels(ax, 1), None
+        figure = whole.figure
+    angle = np.linspace(0, 2 * np.pi, 721)
+    for panel in (whole, near) if near is not None else (whole,):
+        panel.plot(np.cos(angle), np.sin(angle), color="0.6", linestyle="-", linewidth=0.7)
+        for (name, group), marker in zip(table.groupby("model", sort=False), _MARKERS):
+            panel.plot(group["real"], group["imag"], linestyle="none", label=plain(str(name)), **marker)
+        panel.set(xlabel="real part")
+    reach = 1.15 * max(1.0, np.abs(np.asarray(table[["real", "imag"]])).max())
+    whole.set(ylabel="imaginary part", xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
+    if near is None:
+        return figure
+    distance = np.asarray(np.hypot(table["real"] - 1, table["imag"]))
+    distance = distance[distance > 1e-6]
+    zoom = float(np.clip(1.3 * np.quantile(distance, 0.5), 1e-4, 1.0)) if len(distance) else 0.1
+    near.set(xlim=(1 - zoom, 1 + zoom), ylim=(-zoom, zoom), aspect="equal")
+    whole.set_title("all", fontsize=8, pad=3)
+    near.set_title("near one", fontsize=8, pad=3)
+    near.locator_params(nbins=4)
+    near.ticklabel_format(useOffset=False)
+    if len(set(table["model"])) > 1:
+        figure.legend(*whole.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure
+
+
+def spectrum_figure(model: "KoopmanModel", ax=None) -> Figure:
+    """See `tras.KoopmanModel.plot_spectrum`."""
+    values = model.eigenvalues
+    return eigenvalue_figure(pd.DataFrame({"model": "model", "real": np.real(values), "imag": np.imag(values)}), ax)
+
+
+def _panels(ax, count, **size):
+    """Axes of a new figure, one below the other, or those of the caller, if they are ``count``."""
+    if ax is None:
+        _, axes = new_figure(rows=count, squeeze=False, **size)
+        return list(axes[:, 0])
+    panels = list(np.asarray(ax, dtype=object).ravel())
+    if len(panels) != count or not all(isinstance(panel, Axes) for panel in panels):
+        raise ValueError(f"ax is {_kind(panels)}; give {count} matplotlib Axes, one per panel, or leave it out.")
+    return panels
+
+
+def _kind(panels):
+    kinds = {type(panel).__name__ for panel in panels}
+    return f"{len(panels)} of {', '.join(sorted(kinds))}" if panels else "empty"
+
+
+def _chosen(argument, names, known):
+    """``names`` as a list, if all of them are known and they are not too many."""
+    names = list(names) if not isinstance(names, str) else [names]
+    for name in names:
+        if name not in known:
+            raise ValueError(f"{argument}: there is no {name!r}; there are {', '.join(known) or 'none'}.")
+    if not 1 <= len(names) <= MOST:
+        raise ValueError(f"{argument} has {len(names)} names; give 1 to {MOST}.")
+    return names
+
+
+def _simulated(model, shown, latest):
+    """State -> (its roll-out from the sample ``latest`` on, the fit in words), of the one trajectory of ``shown``."""
+    selected, start = shown.select(states=model.state_names_, inputs=model.input_names_), latest - model.delays
+    if shown.lengths[0] < latest + 2:
+        raise ValueError(f"the trajectory has {shown.lengths[0]} samples; {latest} delays need {latest + 2} or more.")
+    x, u = next(iter(selected))
+    trajectory = selected.with_data([x[start:]], [u[start:]])  # all models begin to predict at the same sample
+    run, true = np.asarray(model.predict(trajectory)[0])[model.delays :], x[latest:]
+    with np.errstate(all="ignore"):
+        scores = metrics.judge([true], [run])
+    lost = "diverged" if scores.diverged else "no fit: constant"
+    fits = [f"{fit:.3g} %" if np.isfinite(fit) else lost for fit in scores.bfr]
+    return {name: (run[:, i], fit) for i, (name, fit) in enumerate(zip(model.state_names_, fits))}
+
+
+def _names(models):
+    """What to call models: by their dictionaries, and by a number where those are alike or long."""
+    dictionaries = [getattr(model, "dictionary", None) for model in models]
+    short = [type(model if d is None else d).__name__ for model, d in zip(models, dictionaries)]
+    if len(set(short)) == len(short):
+        return short
+    full = [name if d is None else label(d) for name, d in zip(short, dictionaries)]
+    if len(set(full)) == len(full) and max(map(len, full)) <= 30:
+        return full
+    return [f"{name} [{i + 1}]" for i, name in enumerate(short)]
