@@ -13,6 +13,7 @@ from conftest import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tras import plotting
 from tras.explorer import choice, explore, figures
 from tras.explorer.choice import Choice, ChoiceError
 from tras.explorer.widgets import Explorer
@@ -200,7 +201,7 @@ def test_the_picture_shows_truth_models_and_circle(small):
     assert [len(panel.lines) for panel in (yaw, pitch, error, plane)] == [3, 3, 4, 3]
     assert len({str(line.get_linestyle()) for line in yaw.lines}) == 3
     np.testing.assert_allclose(np.hypot(*plane.lines[0].get_data()), 1)
-    assert figures.png(figure)[:4] == b"\x89PNG"
+    assert plotting.png(figure)[:4] == b"\x89PNG"
 
 
 # --- parameter files ---

@@ -10,7 +10,8 @@ import ipywidgets
 
 from tras.explorer.choice import EXAMPLES, OPTIONS, SIZES, Choice, ChoiceError, write_parameters
 from tras.explorer.explore import explore, numbers
-from tras.explorer.figures import outcome_figure, png
+from tras.explorer.figures import outcome_figure
+from tras.plotting import png
 
 _LABELS = {
     "frequency_unit": "frequencies in", "sampling_time": "sampling (s)", "duration": "duration (s)",
