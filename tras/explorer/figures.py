@@ -6,6 +6,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
 
 from tras.plotting import LINEAR, MODEL, TRUTH, new_figure, require, styled
 
@@ -38,7 +39,7 @@ def outcome_figure(overlay: pd.DataFrame, growth: pd.DataFrame, spectrum: pd.Dat
     require(growth, "growth", ["model", "angle", "time", "nrmse"])
     require(spectrum, "spectrum", ["model", "real", "imag"])
     figure = Figure(figsize=(7.2, 3.9))
-    layout = {"left": 0.08, "right": 0.985, "bottom": 0.115, "top": 0.9, "hspace": 0.48, "wspace": 0.24}
+    layout = {"left": 0.08, "right": 0.985, "bottom": 0.115, "top": 0.9, "hspace": 0.54, "wspace": 0.24}
     (yaw, error), (pitch, plane) = figure.subplots(2, 2, gridspec_kw=layout)  # to compute it takes longer than the fit
     _overlay_panel(yaw, overlay, "psi", r"yaw $\psi$ (rad)")
     _overlay_panel(pitch, overlay, "phi", r"pitch $\phi$ (rad)")
@@ -84,6 +85,9 @@ def _spectrum_panel(panel, spectrum):
     reach = max(1.25 * spectrum["imag"].abs().max(), 0.6 * (right - left), 1e-3)
     side = 0.08 * (right - left) + 0.25 * reach
     panel.set(xlabel="real part", ylabel="imaginary part", xlim=(left - side, right + side), ylim=(-reach, reach))
+    for axis in (panel.xaxis, panel.yaxis):  # without a power above the axis, which would push the title upwards
+        axis.set_major_locator(MaxNLocator(5))
+        axis.set_major_formatter("{x:.4g}")
     panel.set_title("eigenvalues of $K$, and the unit circle", fontsize=8.6)
 
 

@@ -1,6 +1,6 @@
 """The explorer in Jupyter: a control for every field of a `Choice`, and its outcome, from `tras.explorer.explore`.
 
-A slider acts on release, a menu at once. A choice that gives no model leaves the last picture and says why.
+A slider acts on release, a menu at once. A choice that gives no model greys out the last picture and says why.
 """
 
 import html
@@ -11,6 +11,7 @@ import ipywidgets
 from tras.explorer.choice import EXAMPLES, OPTIONS, SIZES, Choice, ChoiceError, write_parameters
 from tras.explorer.explore import explore, numbers
 from tras.explorer.figures import outcome_figure
+from tras.explorer.further import FURTHER
 from tras.plotting import png
 
 _LABELS = {
@@ -42,6 +43,8 @@ _SLIDERS = {
 }
 _STYLE = {"description_width": "92px"}
 _WIDE = {"width": "300px"}
+STALE = "tras-stale"  # class of what belongs to an earlier choice
+_STYLE_SHEET = f"<style>.{STALE} {{ opacity: 0.35; filter: grayscale(1) }}</style>"
 
 
 class Explorer:
@@ -70,14 +73,20 @@ class Explorer:
         self.picture = ipywidgets.Image(format="png", layout={"width": "100%"})
         self.table, self.message, self.answer = ipywidgets.HTML(), ipywidgets.HTML(), ipywidgets.HTML()
         self.example = ipywidgets.Dropdown(options=[("an example ...", None), *EXAMPLES.items()], layout=_WIDE)
-        self.name = ipywidgets.Text("mine", description="NAME", style=_STYLE, layout=_WIDE)
-        self.button = ipywidgets.Button(description="write params/NAME.yaml", layout=_WIDE)
+        self.name = ipywidgets.Text("mine", description="name", style=_STYLE, layout=_WIDE)
+        self.button = ipywidgets.Button(layout=_WIDE)
+        self.further = {label: ipywidgets.Button(description=label) for label in FURTHER}
+        self.extra = ipywidgets.VBox()
         for control in self.controls.values():
             control.observe(self._changed, names="value")
         self.example.observe(self._take_example, names="value")
+        self.name.observe(self._name_button, names="value")
         self.button.on_click(self._write)
+        for button in self.further.values():
+            button.on_click(self._show_further)
         self.view = self._arranged()
         self._fit_size()
+        self._name_button()
         self.redraw()
 
     @property
@@ -106,11 +115,14 @@ class Explorer:
         try:
             outcome = explore(self.choice)
         except ChoiceError as error:
-            stale = "The picture and the numbers are still those of the last choice that gave a model."
+            stale = "The grey picture and numbers are those of the last choice that gave a model."
             self.message.value = _note(f"{error} {stale}", "#b00020")
+            self._mark_stale(True)
             return
         self.picture.value = png(outcome_figure(outcome.overlay, outcome.growth, outcome.spectrum))
         self.table.value = numbers(outcome).to_html(border=0)
+        self.extra.children = ()  # of another choice
+        self._mark_stale(False)
         self.outcome, seconds = outcome, time.perf_counter() - start
         size = f"N = {len(outcome.model.names_)} functions, {outcome.model.pairs_} snapshot pairs"
         facts = f"{size}; fitted, judged and drawn in {seconds:.2f} s."
@@ -151,6 +163,22 @@ class Explorer:
         for name, enabled in effective.items():
             self.controls[name].disabled = not enabled
 
+    def _mark_stale(self, stale):
+        for widget in (self.picture, self.table, self.extra):
+            (widget.add_class if stale else widget.remove_class)(STALE)
+        for button in self.further.values():
+            button.disabled = stale
+
+    def _show_further(self, button):
+        self.extra.children = [ipywidgets.HTML(_note("A few seconds ..."))]
+        try:
+            self.extra.children = [FURTHER[button.description](self.outcome)]
+        except ValueError as error:
+            self.extra.children = [ipywidgets.HTML(_note(str(error), "#b00020"))]
+
+    def _name_button(self, _=None):
+        self.button.description = f"save as params/{self.name.value}.yaml"
+
     def _write(self, _):
         try:
             path = write_parameters(self.choice, self.name.value, self.folder)
@@ -165,7 +193,9 @@ class Explorer:
         column += [ipywidgets.HTML("<b>Keep it</b>"), self.name, self.button, self.answer]
         left = ipywidgets.VBox(column, layout={"flex": "0 0 310px"})
         wide = {"flex": "1 1 420px", "min_width": "0"}
-        right = ipywidgets.VBox([self.message, self.picture, self.table], layout=wide)
+        more = ipywidgets.HBox(list(self.further.values()), layout={"flex_flow": "row wrap"})
+        style = ipywidgets.HTML(_STYLE_SHEET)
+        right = ipywidgets.VBox([style, self.message, self.picture, self.table, more, self.extra], layout=wide)
         return ipywidgets.HBox([left, right])
 
 
