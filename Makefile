@@ -136,8 +136,9 @@ test: $(READY) ## unit tests, then every notebook of the small profile rerun and
 	  && $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) build/smoke/identify/identify.ipynb || status=1; \
 	exit $$status
 
+# notebooks/.jupyter turns off JupyterLab's question about news, which would come before everything else.
 lab: $(READY) ## open the explorer in JupyterLab, the other notebooks beside it
-	$(PY) -m jupyterlab --ServerApp.root_dir=. --LabApp.news_url=None $(if $(filter 0,$(shell id -u)),--allow-root) notebooks/explore.ipynb
+	JUPYTER_CONFIG_PATH=notebooks/.jupyter $(PY) -m jupyterlab --ServerApp.root_dir=. $(if $(filter 0,$(shell id -u)),--allow-root) notebooks/explore.ipynb
 
 lock: ## resolve environment.in, and what builds its sources, anew (needs uv; UPGRADE=1 for newer versions)
 	@command -v uv >/dev/null || { echo "make lock needs uv, which was not found on PATH: python3 -m pip install uv." >&2; exit 1; }

@@ -86,7 +86,7 @@ def _spectrum_panel(panel, spectrum):
     side = 0.08 * (right - left) + 0.25 * reach
     panel.set(xlabel="real part", ylabel="imaginary part", xlim=(left - side, right + side), ylim=(-reach, reach))
     for axis in (panel.xaxis, panel.yaxis):  # without a power above the axis, which would push the title upwards
-        axis.set_major_locator(MaxNLocator(5))
+        axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
         axis.set_major_formatter("{x:.4g}")
     panel.set_title("eigenvalues of $K$, and the unit circle", fontsize=8.6)
 

@@ -7,6 +7,7 @@ import html
 import time
 
 import ipywidgets
+from IPython.display import Javascript, display
 
 from tras.explorer.choice import EXAMPLES, OPTIONS, SIZES, Choice, ChoiceError, write_parameters
 from tras.explorer.explore import explore, numbers
@@ -48,7 +49,7 @@ _STYLE_SHEET = f"<style>.{STALE} {{ opacity: 0.35; filter: grayscale(1) }}</styl
 
 
 class Explorer:
-    """The panel of the explorer; ``display(explorer.view)`` or the last line of a cell shows it.
+    """The panel of the explorer; as the last line of a cell it shows itself and comes into view.
 
     Parameters
     ----------
@@ -76,7 +77,9 @@ class Explorer:
         self.name = ipywidgets.Text("mine", description="name", style=_STYLE, layout=_WIDE)
         self.button = ipywidgets.Button(layout=_WIDE)
         self.further = {label: ipywidgets.Button(description=label) for label in FURTHER}
+        more = ipywidgets.HBox(list(self.further.values()), layout={"flex_flow": "row wrap"})
         self.extra = ipywidgets.VBox()
+        self.result = ipywidgets.VBox([self.picture, self.table, more, self.extra])
         for control in self.controls.values():
             control.observe(self._changed, names="value")
         self.example.observe(self._take_example, names="value")
@@ -88,6 +91,11 @@ class Explorer:
         self._fit_size()
         self._name_button()
         self.redraw()
+
+    def _ipython_display_(self):
+        # *Run All* leaves the page where the code of the last cell is, with the panel out of sight below it.
+        into_view = "setTimeout(() => element.closest('.jp-OutputArea, body').scrollIntoView(), 300)"
+        display(self.view, Javascript(into_view))
 
     @property
     def choice(self) -> Choice:
@@ -164,8 +172,7 @@ class Explorer:
             self.controls[name].disabled = not enabled
 
     def _mark_stale(self, stale):
-        for widget in (self.picture, self.table, self.extra):
-            (widget.add_class if stale else widget.remove_class)(STALE)
+        (self.result.add_class if stale else self.result.remove_class)(STALE)
         for button in self.further.values():
             button.disabled = stale
 
@@ -193,9 +200,7 @@ class Explorer:
         column += [ipywidgets.HTML("<b>Keep it</b>"), self.name, self.button, self.answer]
         left = ipywidgets.VBox(column, layout={"flex": "0 0 310px"})
         wide = {"flex": "1 1 420px", "min_width": "0"}
-        more = ipywidgets.HBox(list(self.further.values()), layout={"flex_flow": "row wrap"})
-        style = ipywidgets.HTML(_STYLE_SHEET)
-        right = ipywidgets.VBox([style, self.message, self.picture, self.table, more, self.extra], layout=wide)
+        right = ipywidgets.VBox([ipywidgets.HTML(_STYLE_SHEET), self.message, self.result], layout=wide)
         return ipywidgets.HBox([left, right])
 
 

@@ -97,12 +97,6 @@ def test_the_gif_has_all_frames_at_its_rate_and_the_same_bytes_again(tmp_path):
     assert np.abs(frames[6] - exact).mean() < 3  # of 255: 40 colours are enough
 
 
-def test_the_movie_needs_no_network():
-    page = animation.movie(animation.film(overlay(), rate=2), rate=2).to_jshtml()
-    assert page.count("data:image/png;base64") == 5
-    assert "<img" in page and 'src="http' not in page
-
-
 # --- phase portraits -------------------------------------------------------------------------------------------------
 
 
