@@ -58,7 +58,7 @@ OUT_04 := $(addprefix $(FIGURES)/,$(foreach kind,pdf svg png csv,$(DRAWN:%=%.$(k
 OUT_05 := $(ROBUSTNESS:%=$(DATA)/%.csv) $(addprefix $(FIGURES)/,$(foreach kind,pdf svg png csv,$(ROBUSTNESS_DRAWN:%=%.$(kind))))
 OUT_06 := $(addprefix $(DATA)/,readings.csv readings_around.csv readings_start.csv) $(foreach kind,pdf svg png csv,$(FIGURES)/readings_effects.$(kind) $(FIGURES)/readings_nearest.$(kind))
 OUT_07 := $(addprefix $(DATA)/,comparison.csv comparison_tuning.csv comparison_data.csv) \
-  $(foreach kind,pdf svg png csv,$(addprefix $(FIGURES)/,comparison_horizon.$(kind) comparison_data.$(kind) comparison_pareto.$(kind)))
+  $(foreach kind,pdf svg png csv,$(addprefix $(FIGURES)/,comparison_window.$(kind) comparison_horizon.$(kind) comparison_data.$(kind)))
 OUT_08 := $(DATA)/claims.csv
 OUT_09 := $(addprefix $(FIGURES)/,animation.gif animation.csv $(foreach kind,pdf svg png csv,portrait.$(kind)))
 
@@ -136,8 +136,9 @@ test: $(READY) ## unit tests, then every notebook of the small profile rerun and
 	  && $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) build/smoke/identify/identify.ipynb || status=1; \
 	exit $$status
 
+# notebooks/.jupyter turns off JupyterLab's question about news, which would come before everything else.
 lab: $(READY) ## open the explorer in JupyterLab, the other notebooks beside it
-	$(PY) -m jupyterlab --ServerApp.root_dir=. $(if $(filter 0,$(shell id -u)),--allow-root) notebooks/explore.ipynb
+	JUPYTER_CONFIG_PATH=notebooks/.jupyter $(PY) -m jupyterlab --ServerApp.root_dir=. $(if $(filter 0,$(shell id -u)),--allow-root) notebooks/explore.ipynb
 
 lock: ## resolve environment.in, and what builds its sources, anew (needs uv; UPGRADE=1 for newer versions)
 	@command -v uv >/dev/null || { echo "make lock needs uv, which was not found on PATH: python3 -m pip install uv." >&2; exit 1; }

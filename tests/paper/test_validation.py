@@ -118,6 +118,14 @@ def test_overlay_starts_at_the_truth(experiment):
     assert np.allclose(table.iloc[0][["psi_linear", "phi_linear"]], table.iloc[0][["psi_true", "phi_true"]])
 
 
+def test_an_overlay_knows_the_range_of_the_whole_recording(experiment):
+    window, states = experiment.cut(201)[3], np.concatenate(list(experiment.states))
+    table = validation.overlay(window, {}, experiment)
+    for name, column in (("phi", 0), ("psi", 2)):
+        assert set(table[f"{name}_low"]) == {states[:, column].min()}
+        assert set(table[f"{name}_high"]) == {states[:, column].max()}
+
+
 def a_table():
     rows = []
     sources = [source for source in tables.COLUMNS if source[0] != "paper"]

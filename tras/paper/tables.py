@@ -8,6 +8,7 @@ import itertools
 import math
 import operator
 import statistics
+from numbers import Integral
 
 from tras.workflow.files import markdown_table
 
@@ -78,6 +79,25 @@ def read(path) -> list[dict[str, str]]:
     """Rows of a CSV file as dictionaries of text."""
     with open(path, newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
+
+
+def shown(table, spec: str = ".3g"):
+    """A DataFrame of numbers as text for a notebook: a dash where there is none, counts and words as they are.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> shown(pd.DataFrame({"error": [0.12345, None], "windows": [1412, 83]})).to_numpy().tolist()
+    [['0.123', '1412'], ['–', '83']]
+    """
+    import pandas as pd
+
+    def text(value):
+        if pd.isna(value):
+            return "–"
+        return str(value) if isinstance(value, str | Integral) else format(value, spec)
+
+    return table.map(text)
 
 
 def markdown(rows: list[dict]) -> str:
