@@ -8,6 +8,7 @@ import math
 import time
 import warnings
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -102,6 +103,13 @@ def jobs(study: Study) -> list[dict]:
         conditions += [{"input": name, **plain, **change} for change in changes]
     cases = [{"method": method, **condition} for condition in conditions for method in study.methods]
     return [job for job in cases if job["input"] == "torque" or job["method"] not in NEEDS_TORQUES]
+
+
+def recordings(data: Path) -> tuple[Recording, dict[str, Recording]]:
+    """Training and validation recordings of the study, as 01_data_generation leaves them in a folder."""
+    train, multisines = (Recording.read(data / f"{name}.nc") for name in ("train", "validation_multisine"))
+    fresh = {f"multisine {seed}": multisines[i] for i, seed in enumerate(multisines.attributes["seed"])}
+    return train, fresh | {name: Recording.read(data / f"validation_{name}.nc") for name in ("steps", "chirp")}
 
 
 def run(
