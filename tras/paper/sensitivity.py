@@ -59,8 +59,8 @@ def spreads(
     copies = {table: [] for table in rules}
     for study in (_comparison, _readings):
         for perturbed in study(list(rules), count, processes, progress):
-            for table, frame in perturbed.items():
-                copies[table].append(frame)
+            for table in rules.keys() & perturbed.keys():
+                copies[table].append(perturbed[table])
     return {table: interval(pd.read_csv(table), copies[table], rule) for table, rule in rules.items()}
 
 
@@ -74,7 +74,8 @@ def interval(reference: pd.DataFrame, perturbed: list[pd.DataFrame], rule: class
         the finite ones and ``NAME.lost``, how often it is none; for each column of text ``NAME``, all that stood there,
         with "|" between.
     """
-    frames = [frame[_selected(frame, rule)] for frame in (reference, *map(_as_written, perturbed))]
+    frames = [reference, *map(_as_written, perturbed)]
+    frames = [frame[classes.selected(dict(frame.items()), rule)] for frame in frames]
     keys = [name for name in reference if name not in rule.values]
     groups = pd.concat(frames, ignore_index=True).groupby(keys, sort=False, dropna=False)
     result = {"tables": groups.size()}
@@ -92,13 +93,6 @@ def interval(reference: pd.DataFrame, perturbed: list[pd.DataFrame], rule: class
 def _as_written(frame):
     """A table as it comes back from its file: ten digits, and columns typed by their text."""
     return pd.read_csv(io.StringIO(frame.to_csv(index=False, float_format="%.10g")))
-
-
-def _selected(frame, rule):
-    mask = np.ones(len(frame), dtype=bool)
-    for name, values in rule.rows.items():
-        mask &= frame[name].isin(values).to_numpy()
-    return mask
 
 
 def _parameters(table):
@@ -120,14 +114,13 @@ def _comparison(tables, count, processes, progress):
     scores = Path("data/comparison.csv")
     if scores not in tables:
         return
-    parameters, rivals = _parameters(scores), classes.sensitive(scores).rows["method"]
-    options = _options(comparison.Study, parameters)
-    options["methods"] = tuple(name for name in options["methods"] if name in rivals)
-    study, recordings = comparison.Study(**options), comparison.recordings(scores.parent)
+    study = comparison.Study(**_options(comparison.Study, _parameters(scores)))
+    options = {"only": classes.RIVALS, "processes": processes}
+    recordings = comparison.recordings(scores.parent)
     for seed in tqdm(range(count), "perturb the comparison", disable=not progress, file=progress or None):
         train, fresh = nudged_recording(recordings[0], seed), recordings[1]
         fresh = {name: nudged_recording(recording, seed) for name, recording in fresh.items()}
-        results = comparison.run(study, train, fresh, scores.parent / "cache", processes=processes)
+        results = comparison.run(study, train, fresh, scores.parent / "cache", **options)
         horizon, amounts = horizon_table(results["scores"]), results["data"]
         yield {
             scores: results["scores"],
@@ -148,13 +141,14 @@ def _readings(tables, count, processes, progress):
     if table not in tables:
         return
     parameters, rule = _parameters(table), classes.sensitive(table)
+    (only,) = rule.rows
     options = _options(grid.Study, parameters)
     for name in ("max_frequency", "peak"):
         options[name] = tuple(parameters[f"{angle}_{name}"] for angle in ("pitch", "yaw"))
     study, reference = grid.Study(**options), pd.read_csv(table)
-    keys = [{"parameters": parameters, "only": rule.rows, "seed": seed} for seed in range(count)]
+    keys = [cache.plain({"parameters": parameters, "only": only, "seed": seed}) for seed in range(count)]
     results, _ = compute(
-        _perturbed_grid, list(range(count)), (study, rule.rows, table.parent / "cache"), keys=keys,
+        _perturbed_grid, list(range(count)), (study, only, table.parent / "cache"), keys=keys,
         folder=table.parent / "cache", kind="perturbed", code=cache.code_digest("tras.paper.grid"),
         title="perturb the readings", unit=" perturbations", progress=progress, processes=processes,
     )  # fmt: skip
