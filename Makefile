@@ -147,13 +147,13 @@ lock: ## resolve environment.in, and what builds its sources, anew (needs uv; UP
 
 ifeq ($(PROFILE),paper)
 verify: reference/SHA256SUMS $(STAMPS) $(OUTPUTS) ## compare data, models and figures with reference/: bytes, numbers, looks
-	@$(PY) -m tras.paper.verification $(OUTPUTS)
+	@$(PY) -m tras.paper.verification --paper $(PAPER_OUTPUTS) --studies $(STUDY_OUTPUTS)
 
 reference/SHA256SUMS: # said before anything is built
 	@echo "$@ does not exist, so there is nothing to compare with: git checkout reference, or make bless to take this machine's results." >&2; exit 2
 
 bless: $(STAMPS) $(OUTPUTS) ## take them as the new reference/ (nothing else writes there)
-	@$(PY) -m tras.paper.verification --bless $(OUTPUTS)
+	@$(PY) -m tras.paper.verification --bless --paper $(PAPER_OUTPUTS) --studies $(STUDY_OUTPUTS)
 else
 verify bless:
 	@echo "make $@ is for PROFILE=paper, whose numbers reference/ holds; for PROFILE=$(PROFILE) there is no reference." >&2; exit 2
