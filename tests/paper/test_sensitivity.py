@@ -233,8 +233,10 @@ def test_the_readings_perturbed(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = Path("data/readings.csv")
     study = grid.Study(20.0, 0.01, (0.6, 1.5), (1.2, 3.1), 0.05, 2.0, 4.0, 0.8, 0, (1,), (2,), (0,))
-    table, _ = grid.run(study, path.parent / "cache", processes=1, only={"dictionary": ["gaussian", "monomials3"]})
+    only = {"dictionary": ["gaussian", "monomials3"], "start": ["on_reference", "hanging"]}
+    table, _ = grid.run(study, grid.points(study, only), path.parent / "cache", processes=1)
     write(table, path)
+    write(table.assign(gains="half_frequency"), path.with_name("readings_around.csv"))
     record = provenance.beside(path)
     record.write_text(json.dumps({**json.loads(record.read_text()), "parameters": GRID}))
     frames = sensitivity.spreads([path], count=2, processes=1)

@@ -74,7 +74,7 @@ SENSITIVE = [
         "data/comparison_tuning.csv", ("error", "chosen", "failure"), RIVALS, _TRAINED, ("chosen", "error", "setting"),
     ),
     Sensitive("figures/comparison_horizon.csv", _MEDIANS, _WHOLE, _TRAINED),
-    Sensitive("figures/comparison_pareto.csv", _MEDIANS, _WHOLE, _TRAINED),
+    Sensitive("figures/comparison_window.csv", _MEDIANS, _WHOLE, _TRAINED),
     Sensitive("figures/comparison_data.csv", _MEDIANS, RIVALS, _TRAINED),
     Sensitive(
         "data/readings.csv", ("nrmse", "windows", "diverged", "outcome", "N", "condition"),

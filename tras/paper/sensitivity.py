@@ -127,7 +127,7 @@ def _comparison(tables, count, processes, progress):
             scores.with_name("comparison_tuning.csv"): results["tuning"],
             scores.with_name("comparison_data.csv"): amounts,
             Path("figures/comparison_horizon.csv"): horizon,
-            Path("figures/comparison_pareto.csv"): horizon[horizon["horizon"] == study.window],
+            Path("figures/comparison_window.csv"): horizon[horizon["horizon"] == study.window],
             Path("figures/comparison_data.csv"): data_table(amounts[amounts["input"].isin(study.data_inputs)]),
         }
 
@@ -146,6 +146,7 @@ def _readings(tables, count, processes, progress):
     for name in ("max_frequency", "peak"):
         options[name] = tuple(parameters[f"{angle}_{name}"] for angle in ("pitch", "yaw"))
     study, reference = grid.Study(**options), pd.read_csv(table)
+    around = pd.read_csv(table.with_name("readings_around.csv"))
     keys = [cache.plain({"parameters": parameters, "only": only, "seed": seed}) for seed in range(count)]
     results, _ = compute(
         _perturbed_grid, list(range(count)), (study, only, table.parent / "cache"), keys=keys,
@@ -158,8 +159,8 @@ def _readings(tables, count, processes, progress):
         whole = _in_place(reference, perturbed, rule)
         yield {
             table: perturbed,
-            Path("figures/readings_effects.csv"): effects.effects(whole, default),
-            Path("figures/readings_nearest.csv"): effects.nearest(whole),
+            Path("figures/readings_effects.csv"): effects.effects(pd.concat([whole, around]), default),
+            Path("figures/readings_nearest.csv"): effects.nearest(pd.concat([whole, around])),
         }
 
 
@@ -171,7 +172,7 @@ def _perturbed_grid(study, only, folder, seed):
     for name in names:
         arrays = cache.read_arrays(folder / name) or {}
         cache.write_arrays(own / name, **{key: nudged(values, rng) for key, values in arrays.items()})
-    table, _ = grid.run(study, own, only=only, processes=1)
+    table, _ = grid.run(study, grid.points(study, only), own, processes=1)
     if sorted(path.name for path in own.glob("recording-*.npz")) != names:
         raise RuntimeError("the grid has simulated recordings anew, so they were not perturbed: make clean, make all.")
     shutil.rmtree(own)
