@@ -16,7 +16,6 @@ from tras.workflow.files import replacing
 from tras.workflow.provenance import versions
 from tras.workflow.staleness import Package, digest
 
-
 SHOWS = "tras.display"  # what objects show of themselves: no number that is kept depends on it
 
 
