@@ -33,9 +33,11 @@ BUILD := build/$(PROFILE)
 ifeq ($(PROFILE),paper)
 DATA := data
 FIGURES := figures
+DOCS := build/docs
 else
 DATA := $(BUILD)/data
 FIGURES := $(BUILD)/figures
+DOCS := $(BUILD)/docs
 endif
 
 # --- stages and what they write; every file is named, so that a deleted one is made again ----------------------------------------
@@ -79,7 +81,7 @@ LOCKED := $(shell cat $(LOCKS) 2>/dev/null | { sha256sum || shasum -a 256; } 2>/
 READY := .venv/.ready-$(LOCKED)
 PY := .venv/bin/python
 
-.PHONY: help setup all stages paper figures report sweep smoke lint check test verify bless lab lock readme clean distclean bench bench-test identify \
+.PHONY: help setup all stages paper figures docs sweep smoke lint check test verify bless lab lock readme clean distclean bench bench-test identify \
   example FORCE
 
 help: ## list the targets (this text)
@@ -97,8 +99,16 @@ paper: $(PAPER_STAGES:%=$(BUILD)/%.ipynb) $(PAPER_OUTPUTS) ## the paper's own fi
 
 figures: $(BUILD)/04_figures.ipynb $(OUT_04) ## all figures, and what they need
 
-report: stages ## one page that tells it all and needs no network: build/paper/report.html
-	@$(PY) -m tras.paper.report $(BUILD)/report.html --data $(DATA) --figures $(FIGURES) --build $(BUILD)
+# Sphinx wants its sources in one folder: the pages of docs/ and the README files, the executed notebooks, figures and code that they show.
+DOCS_SOURCE := $(BUILD)/docs-source
+docs: stages ## the documentation site, readable without network: build/docs/index.html
+	@rm -rf $(DOCS_SOURCE); mkdir -p $(addprefix $(DOCS_SOURCE)/,notebooks data benchmarks)
+	@cp -p docs/*.md CONTRIBUTING.md CHANGELOG.md $(DOCS_SOURCE)
+	@cp -p $(STAMPS) notebooks/explore.ipynb $(DOCS_SOURCE)/notebooks
+	@cp -p data/README.md $(DOCS_SOURCE)/data; cp -pr benchmarks/README.md benchmarks/results $(DOCS_SOURCE)/benchmarks
+	@ln -s $(CURDIR)/$(FIGURES) $(DOCS_SOURCE)/figures; ln -s $(CURDIR)/tras $(DOCS_SOURCE)/tras
+	@$(PY) -m sphinx -q -n -W --keep-going -c docs -d $(BUILD)/doctrees -D tras_data=$(DATA) -D tras_figures=$(FIGURES) -D tras_build=$(BUILD) \
+	  $(DOCS_SOURCE) $(DOCS)
 
 SWEEP ?= params/sweeps/dictionaries.yaml
 sweep: $(READY) ## many fits, described by SWEEP=params/sweeps/dictionaries.yaml, on this machine's cores or SCHEDULER=tcp://host:8786
