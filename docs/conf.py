@@ -37,7 +37,7 @@ nb_execution_mode = "off"  # the notebooks are those that make has executed
 nb_ipywidgets_js = {}  # it would come from elsewhere
 nb_merge_streams = True
 
-tras_pages = ["index", "replication", "claims"]  # those with lookups in them
+tras_pages = ["index", "replication", "claims", "dictionaries"]  # those with lookups in them
 
 # --- the reference, from the docstrings -------------------------------------------------------------------------------
 
