@@ -70,7 +70,7 @@ def render(text: str, sources: Sources) -> str:
     parts = []
     for section in re.split(r"^(?=#{1,3} )", text, flags=re.MULTILINE):
         try:
-            parts.append(lookups.render(section, sources))
+            parts.append(lookups.render(section, sources, claims=_LIMITS, profile=sources.build.name))
         except Lacking as lack:
             heading = re.match(r"(#{1,3} [^\n]*\n)?", section)[0]
             parts.append(f"{heading}\n```{{note}}\n{_missing(lack)}\n```\n\n")
