@@ -99,16 +99,8 @@ paper: $(PAPER_STAGES:%=$(BUILD)/%.ipynb) $(PAPER_OUTPUTS) ## the paper's own fi
 
 figures: $(BUILD)/04_figures.ipynb $(OUT_04) ## all figures, and what they need
 
-# Sphinx wants its sources in one folder: the pages of docs/ and the README files, the executed notebooks, figures and code that they show.
-DOCS_SOURCE := $(BUILD)/docs-source
 docs: stages ## the documentation site, readable without network: build/docs/index.html
-	@rm -rf $(DOCS_SOURCE); mkdir -p $(addprefix $(DOCS_SOURCE)/,notebooks data benchmarks)
-	@cp -p docs/*.md CONTRIBUTING.md CHANGELOG.md $(DOCS_SOURCE)
-	@cp -p $(STAMPS) notebooks/explore.ipynb $(DOCS_SOURCE)/notebooks
-	@cp -p data/README.md $(DOCS_SOURCE)/data; cp -pr benchmarks/README.md benchmarks/results $(DOCS_SOURCE)/benchmarks
-	@ln -s $(CURDIR)/$(FIGURES) $(DOCS_SOURCE)/figures; ln -s $(CURDIR)/tras $(DOCS_SOURCE)/tras
-	@$(PY) -m sphinx -q -n -W --keep-going -c docs -d $(BUILD)/doctrees -D tras_data=$(DATA) -D tras_figures=$(FIGURES) -D tras_build=$(BUILD) \
-	  $(DOCS_SOURCE) $(DOCS)
+	@$(PY) docs/build.py $(DOCS) --data $(DATA) --figures $(FIGURES) --build $(BUILD)
 
 SWEEP ?= params/sweeps/dictionaries.yaml
 sweep: $(READY) ## many fits, described by SWEEP=params/sweeps/dictionaries.yaml, on this machine's cores or SCHEDULER=tcp://host:8786
