@@ -100,7 +100,7 @@ paper: $(PAPER_STAGES:%=$(BUILD)/%.ipynb) $(PAPER_OUTPUTS) ## the paper's own fi
 figures: $(BUILD)/04_figures.ipynb $(OUT_04) ## all figures, and what they need
 
 docs: stages ## the documentation site, readable without network: build/docs/index.html
-	@$(PY) docs/build.py $(DOCS) --data $(DATA) --figures $(FIGURES) --build $(BUILD)
+	@$(PY) docs/make_site.py $(DOCS) --data $(DATA) --figures $(FIGURES) --build $(BUILD)
 
 SWEEP ?= params/sweeps/dictionaries.yaml
 sweep: $(READY) ## many fits, described by SWEEP=params/sweeps/dictionaries.yaml, on this machine's cores or SCHEDULER=tcp://host:8786

@@ -80,7 +80,7 @@ def render(text: str, sources: Sources) -> str:
 
 
 def _missing(lack):
-    _LOG.info("not shown: %s", lack)
+    print(f"not shown: {lack}")
     return f"This part is not shown: {lack}"
 
 
@@ -116,6 +116,10 @@ class Block(SphinxDirective):
             return self.make(yaml.safe_load("\n".join(self.content)) or {}, _sources(self.config))
         except Lacking as lack:
             return [nodes.note("", nodes.paragraph("", "", *self.inline(_missing(lack))))]
+        except KeyError as error:
+            raise self.error(f"this block is not understood: {error} is missing.") from None
+        except yaml.YAMLError as error:
+            raise self.error(f"this block is not understood: {error}") from None
         except ValueError as error:
             raise self.error(str(error)) from None
 
@@ -145,7 +149,7 @@ class Block(SphinxDirective):
         """The figures that the pages show, as far as their files are there: name -> words that say what is seen."""
         pages = [Path(self.env.srcdir, f"{name}.md").read_text(encoding="utf-8") for name in self.config.tras_pages]
         blocks = [yaml.safe_load(block) for text in pages for block in _FIGURE.findall(text)]
-        return {block["name"]: block["alt"] for block in blocks if page.picture(sources.figures, block["name"])}
+        return {block["name"]: block["alt"] for block in blocks if _picture(sources, block["name"])}
 
     def label(self, identity, title):
         """A label that links of any page can lead to."""
@@ -158,14 +162,21 @@ class Block(SphinxDirective):
         return addnodes.pending_xref("", inside, reftarget=identity.lower(), refdoc=self.env.docname, **options)
 
 
+def _picture(sources, name):
+    """The file that shows a figure best, or None."""
+    film = sources.figures / f"{name}.gif"
+    return film if film.is_file() else page.picture(sources.figures, name)
+
+
 class Figure(Block):
-    """``name, alt, caption``; its label is ``fig-NAME``."""
+    """``name, alt, caption``, and ``wide: true`` for one of two columns; its label is ``fig-NAME``."""
 
     def make(self, spec, sources):
-        path = page.picture(sources.figures, spec["name"]) or sources.path(f"figures/{spec['name']}.png")
+        path = _picture(sources, spec["name"]) or sources.path(f"figures/{spec['name']}.png")
         identity = f"fig-{spec['name']}"
         image = nodes.image(uri=f"/figures/{path.name}", alt=" ".join(spec["alt"].split()))
         figure = nodes.figure("", image, nodes.caption("", "", *self.inline(spec["caption"])), ids=[identity])
+        figure["classes"] += ["wide"] if spec.get("wide") else []
         self.label(identity, spec["name"])
         self.env.note_dependency(path)
         return [figure]
@@ -177,7 +188,7 @@ class Gallery(Block):
     def make(self, spec, sources):
         items = nodes.container(classes=["gallery"])
         for name, alt in self.figures(sources).items():
-            image = nodes.image(uri=f"/figures/{page.picture(sources.figures, name).name}", alt="")
+            image = nodes.image(uri=f"/figures/{_picture(sources, name).name}", alt="")
             title = " ".join(alt.split()).partition(". ")[0].rstrip(".") + "."
             items += nodes.figure("", image, nodes.caption("", "", self.link(f"fig-{name}", title)))
         return [items]

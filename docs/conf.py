@@ -31,6 +31,7 @@ pygments_style, pygments_dark_style = "tango", "monokai"
 
 # --- text and notebooks -----------------------------------------------------------------------------------------------
 
+smartquotes = False  # text stands as it is written
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
 nb_execution_mode = "off"  # the notebooks are those that make has executed

@@ -1,4 +1,4 @@
-"""Make the site: ``python docs/build.py build/docs --data data --figures figures --build build/paper``, or `make docs`.
+"""Make the site, as `make docs` does: ``python docs/make_site.py build/docs``.
 
 Sphinx wants its sources in one folder, so they are gathered there first: the pages of docs/, the README files, the
 executed notebooks, and the figures and code that they show. A warning of Sphinx is an error, and so is a link that
@@ -102,7 +102,7 @@ def problems(site: Path) -> list[str]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit status: 0, 1 (a page has a fault), 2 (the call was wrong)."""
-    parser = argparse.ArgumentParser(prog="python docs/build.py", description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(prog="python docs/make_site.py", description=__doc__.partition("\n")[0])
     parser.add_argument("site", type=Path, help="where the site goes, for example build/docs")
     for name, default in (("data", "data"), ("figures", "figures"), ("build", "build/paper")):
         parser.add_argument(f"--{name}", type=Path, default=Path(default), help="folder (default: %(default)s)")
