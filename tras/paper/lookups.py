@@ -6,7 +6,7 @@ which the choices must leave one row, or the min, max, median, mean, sum, count 
 ``"<0.5"``, or a list of which any counts. ``parameter(STAGE, NAME)`` is a parameter that this stage ran with;
 ``| number(FORMAT)`` formats any of them as Python does, and ``{% if ... %}`` lets the tables decide what is said.
 
-The report, the conclusions of the notebooks and the test of the prose (`tests/paper/test_prose.py`) all use this.
+The site, the conclusions of the notebooks and the test of the prose (`tests/paper/test_prose.py`) all use this.
 """
 
 import functools
@@ -98,8 +98,14 @@ def conclusions(text: str, sources: Sources, tables: dict[str, str], **names) ->
     ------
     ValueError
         As `render`, but for what is lacking.
+
+    Examples
+    --------
+    >>> text = "* {% if error < 5 %}Good{% else %}Poor{% endif %}: {{ error | number('.1f') }} %."
+    >>> conclusions(text, Sources(Path("data"), Path("figures")), {}, error=4.06)
+    '* Good: 4.1 %.'
     """
-    names |= {name: _Table(sources, file) for name, file in tables.items()}
+    names |= {name: Table(sources, file) for name, file in tables.items()}
     points = []
     for point in re.split(r"^(?=\* )", text.strip(), flags=re.MULTILINE):
         try:
@@ -184,7 +190,7 @@ def table(spec: dict, sources: Sources) -> tuple[list[str], list[list[str]], int
 # --- parts ------------------------------------------------------------------------------------------------------------
 
 
-class _Table(NamedTuple):
+class Table(NamedTuple):
     """A table of the sources as a function of a text."""
 
     sources: Sources
