@@ -23,7 +23,22 @@ _UNITS_OF_TIME |= {"μs": (1, 10**6), "ns": (1, 10**9), "min": (60, 1), "h": (36
 
 
 class RecordingError(ValueError):
-    """A file is not a recording, or lacks something that one needs: one sentence with its path and the place in it."""
+    """A file is not a recording, or lacks something that one needs: one sentence with its path and the place in it.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import tras
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder, "log.csv")
+    ...     _ = path.write_text("a note\\nno numbers here\\n")
+    ...     try:
+    ...         tras.Recording.read(path)
+    ...     except tras.RecordingError as error:
+    ...         print(str(error).replace(folder, "")[1:9])
+    log.csv:
+    """
 
 
 class Roles(NamedTuple):

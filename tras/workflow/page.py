@@ -47,8 +47,7 @@ table { border-collapse: collapse; font-size: .85rem; line-height: 1.4; }
 th, td { text-align: left; vertical-align: top; padding: .3rem .6rem; border-bottom: 1px solid #ddd; }
 thead th { border-bottom: 2px solid #555; vertical-align: bottom; } tbody th { font-weight: 600; }
 .numbers td { white-space: nowrap; } .numbers .number { text-align: right; font-variant-numeric: tabular-nums; }
-.numbers th[scope="row"] { min-width: 5.5rem; } .prose td { min-width: 8rem; }
-.prose td:last-child { min-width: 14rem; }
+.numbers th[scope="row"] { min-width: 5.5rem; }
 .verdict { display: inline-block; font-weight: bold; font-size: .88rem; line-height: 1.3; padding: .1rem .5rem;
 border: 2px solid; background: #fff; }
 .reproduced { color: #0a5c36; } .named { color: #6b4a00; border-style: dashed; }
@@ -56,12 +55,10 @@ border: 2px solid; background: #fff; }
 .uncheckable { color: #444; border-style: dotted; }
 article { border-left: 3px solid #bbb; padding: .1rem 0 .1rem 1rem; margin: 1.6rem 0; }
 article p { margin: .35rem 0; }
-.lacking { border: 1px solid #777; padding: .5rem .8rem; background: #f7f7f7; }
-.details { font-size: .9rem; color: #333; }
 @media print {
   * { box-sizing: border-box; }
 :root { font-size: 10pt; } body { max-width: none; padding: 0; } .scroll, .equation { overflow: visible; }
-  th[scope="row"], .prose td:last-child, .prose td { min-width: 0 !important; }
+  th[scope="row"] { min-width: 0 !important; }
   table { font-size: 7pt; } th, td { padding: .15rem .3rem; white-space: normal !important; }
   figure img { max-width: 28rem; } nav { display: none; }
   figure, article, tr { break-inside: avoid; } h2, h3, caption { break-after: avoid; } a { color: inherit; }
@@ -91,7 +88,7 @@ def formula(tex: str, *, display: bool = False) -> str:
 def table(head: list, rows: list, caption: str, *, keys: int = 1, kind: str = "numbers") -> str:
     """A table whose first ``keys`` columns name the row; cells are HTML already, the caption too.
 
-    ``kind`` is "numbers" (columns of numbers stand to the right, no cell is broken), or for text "prose" or "short".
+    ``kind`` is "numbers" (columns of numbers stand to the right, no cell is broken), or "short" for text.
     """
     styles = [""] * len(head)
     if kind == "numbers" and rows:
