@@ -42,7 +42,7 @@ PATTERNS = [  # what is no result, and why
     ("|".join(path.stem for path in ROOT.glob("notebooks/*.ipynb")), "notebooks"),
     (r"studies 05 to 07|\[\d [a-z ]+", "notebooks"),
     (r"Debian 12|Python 3\.11\+|make 4\.3\+|NetCDF-4|exit status \d", "versions and codes"),
-    (r"Townsend 2024|Brunton et al. 2016|\d{4}-\d\d-\d\d", "years and days"),
+    (r"Townsend 2024|Brunton et al\. 2016|\d{4}-\d\d-\d\d", "years and days"),
     (r"degrees? \d|monomials of degree \d", "names of dictionaries"),
     (r"\b\d (?:states|inputs|references|torques)\b", "channels of the rig"),
     (r"\b1/s\b|half-ranges?", "units"),

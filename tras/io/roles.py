@@ -20,7 +20,22 @@ _KEYS = ("time", "states", "inputs", "trial", "dt", "units")
 
 
 class RecordingError(ValueError):
-    """A file is not a recording, or lacks something that one needs: one sentence with its path and the place in it."""
+    """A file is not a recording, or lacks something that one needs: one sentence with its path and the place in it.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import tras
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder, "log.csv")
+    ...     _ = path.write_text("a note\\nno numbers here\\n")
+    ...     try:
+    ...         tras.Recording.read(path)
+    ...     except tras.RecordingError as error:
+    ...         print(str(error).replace(folder, "")[1:9])
+    log.csv:
+    """
 
 
 class Question(RecordingError):

@@ -43,6 +43,11 @@ class PID:
     ------
     ValueError
         If a gain is not a finite number or the limits are not two finite torques in order.
+
+    Examples
+    --------
+    >>> PID.pole_placement(inertia=0.03, limits=(-0.4, 0.4), frequency=2.0)
+    PID(P=0.12, I=0.12, D=0.108, limits=(-0.4, 0.4))
     """
 
     P: float
