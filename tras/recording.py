@@ -370,7 +370,7 @@ class Recording:
         wishes = sampling.Wishes(resample, missing, tolerance, start, end, decimate)
         test = [test] if isinstance(test, (str, Path, int)) else test
         try:
-            return cls(**formats.read(paths, roles, dt=dt, test=test, wishes=wishes))
+            return cls(**_usable(formats.read(paths, roles, dt=dt, test=test, wishes=wishes)))
         except FileNotFoundError:
             raise
         except Exception as error:  # damaged files make the libraries below raise anything
@@ -431,9 +431,8 @@ class Recording:
         wishes = sampling.Wishes(resample, missing, tolerance, start, end, decimate)
         test = [test] if isinstance(test, int) else test
         try:
-            return cls(
-                **formats.recording_of(frame.open_table(dataframe), [], roles, dt=dt, trials=test, wishes=wishes)
-            )
+            content = formats.recording_of(frame.open_table(dataframe), [], roles, dt=dt, trials=test, wishes=wishes)
+            return cls(**_usable(content))
         except ValueError as error:
             raise RecordingError(str(error)) from error
 
@@ -465,6 +464,32 @@ class Recording:
         self.attributes.pop(_TEST, None)
         if numbers:
             self.attributes[_TEST] = numbers
+
+
+def _usable(content):
+    """What a reader returns, channels with names that a recording can have: a topic of ROS, `/imu/x`, is `imu.x`."""
+    labels = {role: content[f"{role}_names"] for role in ("state", "input")}
+    taken, new = {name for names in labels.values() for name in names if _is_name(name)}, {}
+    for name in (name for names in labels.values() for name in names if not _is_name(name)):
+        plain = name.replace("\0", "").strip("/.").replace("/", ".") or "channel"
+        while plain in taken or not _is_name(plain):
+            plain += "_"
+        taken.add(plain)
+        new[name] = plain
+    if new:
+        content |= {f"{role}_names": [new.get(name, name) for name in names] for role, names in labels.items()}
+        attributes = content["attributes"]
+        attributes["noticed"] = [
+            *attributes.get("noticed", []),
+            *(f"{old!r} is called {name}" for old, name in new.items()),
+        ]
+        if "intersample" in attributes:
+            attributes["intersample"] = {new.get(key, key): word for key, word in attributes["intersample"].items()}
+    return content
+
+
+def _is_name(name):
+    return bool(name) and "/" not in name and "\0" not in name and name != "." and name not in _RESERVED
 
 
 def join(recordings: Recording | Iterable[Recording]) -> Recording:
@@ -571,7 +596,7 @@ def _labels(role, letter, trajectories, names, units):
             if not isinstance(label, str):
                 raise ValueError(f"{role}_{kind} holds {label!r}; give strings.")
     for name in names:
-        if not name or "/" in name or "\0" in name or name == "." or name in _RESERVED:
+        if not _is_name(name):
             raise ValueError(
                 f"{role}_names holds {name!r}; give names that are not empty, have no '/' "
                 f"and are none of {', '.join(_RESERVED)}."

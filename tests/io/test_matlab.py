@@ -280,6 +280,13 @@ def test_of_an_object_two_lines_of_matlab_save_the_numbers(kind, lines, tmp_path
     assert lines.replace("ts.", "x.").replace("(ts", "(x").replace("ts{", "x{") in str(refusal.value)
 
 
+@pytest.mark.parametrize("suffix", [".mat", ".parquet", ".nc", ".csv"])
+def test_pointers_of_git_lfs(suffix, tmp_path):
+    pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 3\n"
+    with pytest.raises(tras.RecordingError, match="a pointer of Git LFS .* `git lfs pull`"):
+        R.read(write(tmp_path / f"a{suffix}", pointer))
+
+
 # --- version 4 --------------------
 
 
@@ -542,6 +549,12 @@ def test_what_looks_like_a_test_set_and_is_none(tmp_path):
         savemat(tmp_path / "a.mat", {"t": TIME, names[0]: U, names[1]: X})
         recording = R.read(tmp_path / "a.mat", {"states": [f"{names[1]}1"], "inputs": [names[0]]})
         assert len(recording) == 1 and "test_trajectories" not in recording.attributes
+
+
+def test_single_numbers_are_said_where_the_sampling_time_is_asked_for(tmp_path):
+    savemat(tmp_path / "a.mat", {"x": X, "u": U, "h": 0.005, "note": "rig"})
+    with pytest.raises(tras.RecordingError, match="(?s)no sampling time.*Noticed: single numbers in it: h = 0.005"):
+        R.read(tmp_path / "a.mat")
 
 
 # --- sizes and damage --------------------

@@ -22,6 +22,7 @@ from tras.workflow.files import replacing
 # Suffix -> its module: open_table(path) returns a `tras.io.limits.Source`, write_recording(recording, header, path).
 FORMATS = {".nc": netcdf, ".csv": text, ".parquet": parquet, ".mat": matlab}
 FORMATS |= dict.fromkeys((".txt", ".dat", ".tsv", ".log", ".lvm"), text)  # in any case: .CSV
+_POINTER = b"version https://git-lfs.github.com/spec/"
 
 
 def write(recording, path, attributes):
@@ -104,6 +105,9 @@ def _opened(path):
         raise FileNotFoundError(f"{path} does not exist; `make all` makes the project's own recordings.")
     if path.stat().st_size > MAX_FILE:
         raise RecordingError(f"it has {path.stat().st_size} bytes; up to {MAX_FILE} are read.")
+    with open(path, "rb") as file:
+        if file.read(len(_POINTER)) == _POINTER:
+            raise RecordingError("it is a pointer of Git LFS in place of the file: get the file by `git lfs pull`.")
     return module_of(path).open_table(path)
 
 

@@ -21,7 +21,6 @@ from tras.io.roles import RecordingError
 from tras.io.words import guess_role, step_of
 
 _MARK = f"# {FORMAT}: "  # our own files: one line of JSON above the header
-_POINTER = b"version https://git-lfs.github.com/spec/"
 _HEAD = 2**22  # bytes in which the layout is looked for
 _MISSING = sorted({form for word in dialect.MISSING for form in (word, word.upper(), word.title())} | {"NaN", "#N/A"})
 _DECIMAL_COMMA = re.compile(rb"(?<![\d.,])[+-]?0?,\d|\d,\d{1,2}(?![\d,])|,\d{4}|\d{4},\d")  # none of thousands
@@ -62,8 +61,6 @@ def write_recording(recording, header: dict, path: Path) -> None:
 
 def _utf8(content):
     """(the bytes in UTF-8, without a byte order mark and with line feeds; the encoding that they had)."""
-    if content.startswith(_POINTER):
-        raise RecordingError("it is a pointer of Git LFS in place of the file: get the file by `git lfs pull`.")
     marks = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
     encoding = next((encoding for mark, encoding in marks.items() if content.startswith(mark)), "utf-8")
     if encoding == "utf-8" and len(content) > 3 and not any(content[1:200:2]):
