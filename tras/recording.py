@@ -130,9 +130,7 @@ class Recording:
     def __getitem__(self, index):
         """A recording of the trajectory or trajectories at an integer, slice, list of integers or boolean mask."""
         numbers = np.atleast_1d(np.arange(len(self))[index])
-        part = self.with_data([self._states[i] for i in numbers], [self._inputs[i] for i in numbers])
-        part._hold_back([i for i, number in enumerate(numbers) if number in self.attributes.get(_TEST, ())])
-        return part
+        return self._of([self._states[i] for i in numbers], [self._inputs[i] for i in numbers], numbers.tolist())
 
     def __repr__(self):
         lengths = self.lengths
@@ -175,20 +173,22 @@ class Recording:
             raise ValueError(
                 f"samples = {samples}; pieces need 2 to {self.lengths.max()} samples, the longest trajectory's length."
             )
-        starts = [(x, u, k) for x, u in self for k in range(0, len(x) - samples + 1, samples - 1)]
-        return self.with_data([x[k : k + samples] for x, _, k in starts], [u[k : k + samples] for _, u, k in starts])
+        starts = [(x, u, k, i) for i, (x, u) in enumerate(self) for k in range(0, len(x) - samples + 1, samples - 1)]
+        states, inputs = ([pair[j][pair[2] : pair[2] + samples] for pair in starts] for j in (0, 1))
+        return self._of(states, inputs, [i for *_, i in starts])
 
     def cut_all(self, samples: int) -> "Recording":
         """As `cut`, but rests and shorter trajectories are kept with the length that they have."""
         samples = whole_number("samples", samples)
         if samples < 2:
             raise ValueError(f"samples = {samples}; pieces need 2 samples or more.")
-        states, inputs = [], []
-        for x, u in self:
+        states, inputs, origins = [], [], []
+        for i, (x, u) in enumerate(self):
             for k in range(0, max(len(x) - 1, 1), samples - 1):
                 states.append(x[k : k + samples])
                 inputs.append(u[k : k + samples])
-        return self.with_data(states, inputs)
+                origins.append(i)
+        return self._of(states, inputs, origins)
 
     def delayed(self, delays: int, *, inputs: bool = False) -> "Recording":
         """The states of ``delays`` earlier samples, newest first, as states beside the present ones, and the earlier
@@ -357,18 +357,20 @@ class Recording:
         >>> recording.attributes["guessed"]
         ['time is column t', 'states are theta', 'inputs are torque', 'the sampling time is 0.1 s']
         """
-        from tras.io import formats, sampling
+        from tras.io import formats, frame, sampling
         from tras.io.roles import RecordingError
 
-        if hasattr(path, "columns"):
-            raise ValueError(f"path is a {type(path).__name__}; Recording.from_frame reads an open table.")
+        if frame.is_frame(path):
+            raise RecordingError(
+                f"path is an open {type(path).__name__}; read a table with Recording.from_frame(dataframe)."
+            )
         paths = [formats.known(each) for each in ([path] if isinstance(path, (str, Path)) else path)]
         if not paths:
             raise ValueError("path is an empty list; give at least one file.")
         wishes = sampling.Wishes(resample, missing, tolerance, start, end, decimate)
         test = [test] if isinstance(test, (str, Path, int)) else test
         try:
-            return cls(**formats.read(paths, roles, dt=dt, test=test, wishes=wishes))
+            return cls(**_usable(formats.read(paths, roles, dt=dt, test=test, wishes=wishes)))
         except FileNotFoundError:
             raise
         except Exception as error:  # damaged files make the libraries below raise anything
@@ -384,6 +386,63 @@ class Recording:
             )
             raise RecordingError(what if what.startswith(name) else f"{name}: {what}") from error
 
+    @classmethod
+    def from_frame(
+        cls,
+        dataframe,
+        roles: dict | str | Path | None = None,
+        *,
+        dt: float | None = None,
+        resample: float | None = None,
+        missing: str = "cut",
+        tolerance: float = 0.2,
+        start: float | None = None,
+        end: float | None = None,
+        decimate: int = 1,
+        test: int | Sequence[int] | None = None,
+    ) -> "Recording":
+        """A recording of a pandas table, as `read` makes one of a file.
+
+        Parameters
+        ----------
+        dataframe : pandas.DataFrame
+            One column per channel, (samples, columns). An index of times, or one with a name, is a column, too. Units:
+            ``dataframe.attrs["units"]``, a dict column -> unit, or those of ``roles``.
+        roles, dt, resample, missing, tolerance, start, end, decimate
+            As for `read`.
+        test : int or sequence of int, optional
+            Numbers of the trials, from 1, that are held back for the test.
+
+        Raises
+        ------
+        ValueError
+            As `read`.
+
+        Examples
+        --------
+        >>> import pandas
+        >>> table = pandas.DataFrame({"t": [0.0, 0.1, 0.2], "theta": [0.1, 0.2, 0.4], "torque": [2.0, 2.0, 1.5]})
+        >>> Recording.from_frame(table)
+        Recording: 1 trajectories of 3 samples at 0.1 s; states theta; inputs torque
+        """
+        from tras.io import formats, frame, sampling
+        from tras.io.roles import RecordingError
+
+        wishes = sampling.Wishes(resample, missing, tolerance, start, end, decimate)
+        test = [test] if isinstance(test, int) else test
+        try:
+            content = formats.recording_of(frame.open_table(dataframe), [], roles, dt=dt, trials=test, wishes=wishes)
+            return cls(**_usable(content))
+        except ValueError as error:
+            raise RecordingError(str(error)) from error
+
+    def _of(self, states, inputs, origins):
+        """`with_data` of trajectories that come from those with the numbers ``origins``: the test set stays one."""
+        new = self.with_data(states, inputs)
+        held_back = self.held_back()
+        new._hold_back([i for i, origin in enumerate(origins) if origin in held_back])
+        return new
+
     def with_data(self, states: list[np.ndarray], inputs: list[np.ndarray], **labels) -> "Recording":
         """A recording of other trajectories (lists of sound arrays) with this one's labels; nothing is checked."""
         new = object.__new__(type(self))
@@ -395,11 +454,42 @@ class Recording:
             new._hold_back([])  # the numbers were those of other trajectories
         return new
 
+    def held_back(self) -> list[int]:
+        """Numbers of the trajectories that are for the test (attribute ``test_trajectories``), or []."""
+        numbers = self.attributes.get(_TEST)  # a file may hold anything under this name
+        return [i for i in range(len(self)) if i in numbers] if isinstance(numbers, list) else []
+
     def _hold_back(self, numbers):
         """State which trajectories are for the test."""
         self.attributes.pop(_TEST, None)
         if numbers:
             self.attributes[_TEST] = numbers
+
+
+def _usable(content):
+    """What a reader returns, channels with names that a recording can have: a topic of ROS, `/imu/x`, is `imu.x`."""
+    labels = {role: content[f"{role}_names"] for role in ("state", "input")}
+    taken, new = {name for names in labels.values() for name in names if _is_name(name)}, {}
+    for name in (name for names in labels.values() for name in names if not _is_name(name)):
+        plain = name.replace("\0", "").strip("/.").replace("/", ".") or "channel"
+        while plain in taken or not _is_name(plain):
+            plain += "_"
+        taken.add(plain)
+        new[name] = plain
+    if new:
+        content |= {f"{role}_names": [new.get(name, name) for name in names] for role, names in labels.items()}
+        attributes = content["attributes"]
+        attributes["noticed"] = [
+            *attributes.get("noticed", []),
+            *(f"{old!r} is called {name}" for old, name in new.items()),
+        ]
+        if "intersample" in attributes:
+            attributes["intersample"] = {new.get(key, key): word for key, word in attributes["intersample"].items()}
+    return content
+
+
+def _is_name(name):
+    return bool(name) and "/" not in name and "\0" not in name and name != "." and name not in _RESERVED
 
 
 def join(recordings: Recording | Iterable[Recording]) -> Recording:
@@ -425,9 +515,7 @@ def join(recordings: Recording | Iterable[Recording]) -> Recording:
     for i, other in enumerate(recordings[1:], start=1):
         require_alike(first, other, i)
     joined = first.with_data([x for r in recordings for x, _ in r], [u for r in recordings for _, u in r])
-    joined._hold_back(
-        [k for r, before in _offsets(recordings) for k in (before + i for i in r.attributes.get(_TEST, ()))]
-    )
+    joined._hold_back([k for r, before in _offsets(recordings) for k in (before + i for i in r.held_back())])
     return joined
 
 
@@ -508,7 +596,7 @@ def _labels(role, letter, trajectories, names, units):
             if not isinstance(label, str):
                 raise ValueError(f"{role}_{kind} holds {label!r}; give strings.")
     for name in names:
-        if not name or "/" in name or "\0" in name or name == "." or name in _RESERVED:
+        if not _is_name(name):
             raise ValueError(
                 f"{role}_names holds {name!r}; give names that are not empty, have no '/' "
                 f"and are none of {', '.join(_RESERVED)}."

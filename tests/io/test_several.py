@@ -104,7 +104,7 @@ def test_numbers_of_the_test_follow_their_trajectories(runs):
     recording = R.read(runs, test=2)
     assert recording[[2, 1]].attributes["test_trajectories"] == [1]
     assert "test_trajectories" not in recording[[0, 2]].attributes
-    assert "test_trajectories" not in recording.cut(50).attributes
+    assert recording.cut(50).attributes["test_trajectories"] == [6, 7, 8, 9, 10, 11]  # six pieces of each
     assert recording.select(states=["q"]).attributes["test_trajectories"] == [1]
     joined = tras.recording.join([recording, recording])
     assert joined.attributes["test_trajectories"] == [1, 4] and recording.attributes["test_trajectories"] == [1]

@@ -22,6 +22,7 @@ from tras.workflow.files import replacing
 # Suffix -> its module: open_table(path) returns a `tras.io.limits.Source`, write_recording(recording, header, path).
 FORMATS = {".nc": netcdf, ".csv": text, ".parquet": parquet, ".mat": matlab}
 FORMATS |= dict.fromkeys((".txt", ".dat", ".tsv", ".log", ".lvm"), text)  # in any case: .CSV
+_POINTER = b"version https://git-lfs.github.com/spec/"
 
 
 def write(recording, path, attributes):
@@ -56,6 +57,14 @@ def read(paths, roles=None, *, dt=None, test=None, wishes=sampling.AS_IT_IS) -> 
     source = sources[0] if len(sources) == 1 else several.joined(paths, sources)
     if held_back:
         source = several.with_test(paths, source, [known(path) for path in held_back], list(map(_opened, held_back)))
+    trials = [number for number in test or () if isinstance(number, int)]
+    return recording_of(
+        source, paths, roles, dt=dt, trials=trials, wishes=wishes, alone=len(paths) == 1 and not held_back
+    )
+
+
+def recording_of(source, paths, roles, *, dt=None, trials=None, wishes=sampling.AS_IT_IS, alone=True) -> dict:
+    """As `read`, of an open ``source`` of the files ``paths``; ``trials`` are the test, ``alone``: a single file."""
     header = _checked(source.header) if source.header is not None and roles is None and dt is None else None
     source = source._replace(dt=header["dt"]) if header else source
     columns, guesses = _roles(source, header, mapping(roles) | ({} if dt is None else {"dt": dt}), paths)
@@ -63,9 +72,9 @@ def read(paths, roles=None, *, dt=None, test=None, wishes=sampling.AS_IT_IS) -> 
     if header and wishes.resample is None:
         step = header["dt"] * wishes.decimate
     content = {"states": x, "inputs": u, "dt": step, "state_names": columns.states, "input_names": columns.inputs}
-    of_test = _test(origins, source.test, [number for number in test or () if isinstance(number, int)])
+    of_test = _test(origins, source.test, trials or [])
     if header:
-        changed = wishes != sampling.AS_IT_IS or len(paths) > 1 or held_back
+        changed = wishes != sampling.AS_IT_IS or not alone
         if not changed and "checksum" in header and checksum(header, zip(x, u)) != header["checksum"]:
             raise RecordingError(
                 "its numbers do not fit its checksum: it was damaged, or changed by another program; "
@@ -80,8 +89,10 @@ def read(paths, roles=None, *, dt=None, test=None, wishes=sampling.AS_IT_IS) -> 
             guesses.append(f"the sampling time is {step:g} s")
         units = [[columns.units.get(name, "") for name in names] for names in (columns.states, columns.inputs)]
         units = dict(zip(("state_units", "input_units"), units))
-        attributes = {"source": ", ".join(path.name for path in paths), "guessed": guesses}
+        attributes = {"source": ", ".join(path.name for path in paths) or "dataframe", "guessed": guesses}
         attributes["noticed"] = [*source.remarks, *noticed]
+        if between := source.attributes.get("intersample"):
+            attributes["intersample"] = {name: between[name] for name in columns.inputs if name in between}
     if of_test:
         attributes["test_trajectories"] = of_test
     return {**content, **units, "attributes": attributes}
@@ -94,6 +105,9 @@ def _opened(path):
         raise FileNotFoundError(f"{path} does not exist; `make all` makes the project's own recordings.")
     if path.stat().st_size > MAX_FILE:
         raise RecordingError(f"it has {path.stat().st_size} bytes; up to {MAX_FILE} are read.")
+    with open(path, "rb") as file:
+        if file.read(len(_POINTER)) == _POINTER:
+            raise RecordingError("it is a pointer of Git LFS in place of the file: get the file by `git lfs pull`.")
     return module_of(path).open_table(path)
 
 
@@ -107,6 +121,10 @@ def _roles(source, header, spec, paths):
             if in_table
             else {"time": None, "trial": None, "dt": header["dt"]}
         )
+    else:
+        if isinstance(spec.get("time"), str):
+            spec["time"] = source.aliases.get(spec["time"], spec["time"])
+        spec = _with_those_of_the_file(spec, source)
     cache = {}
 
     def values(name):
@@ -170,6 +188,13 @@ def known(path: str | Path) -> Path:
 def module_of(path: Path):
     """The module that reads and writes files of this suffix."""
     return FORMATS[path.suffix.lower()]
+
+
+def _with_those_of_the_file(spec, source):
+    """The roles of ``spec``; those it leaves open as the file states them."""
+    given = {*spec.get("states", ()), *spec.get("inputs", ())}
+    stated = {role: [name for name in names if name not in given] for role, names in source.roles.items()}
+    return {**stated, **spec}
 
 
 def _checked(header):

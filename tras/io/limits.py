@@ -26,7 +26,7 @@ class Source(NamedTuple):
     says where a row is in the file. ``header`` is what `tras.Recording.write` wrote, or None; ``dt`` is a sampling time
     that the file states; ``remarks`` tell what was left out. ``roles`` are ``states`` and ``inputs`` that the file
     itself states, ``test`` the numbers of the trials that it calls its test or validation set, ``attributes`` what else
-    a recording should keep.
+    a recording should keep. ``aliases`` are other names of columns: a scope's own time is the common ``time``.
     """
 
     names: list
@@ -39,6 +39,7 @@ class Source(NamedTuple):
     roles: dict = {}
     test: Sequence = ()
     attributes: dict = {}
+    aliases: dict = {}
 
 
 def one_line(error: Exception) -> str:

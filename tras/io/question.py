@@ -42,8 +42,11 @@ def screen(question: Question, paths: list) -> str:
     sampling = "" if answer.time or question.args[0].find("no sampling time") < 0 else (
         "There is no column of time: DT=1 counts samples, put your sampling time in s in its place.\n"
     )  # fmt: skip
+    table = f"{question}. Which are states and inputs? A guess:\n" + "\n".join(lines) + "\n" + sampling
+    if not paths:  # an open table
+        return f"{table}If it is right, else with other columns:\n  roles={_dictionary(answer)}"
     return (
-        f"{question}. Which are states and inputs? A guess:\n" + "\n".join(lines) + "\n" + sampling
+        table
         + "If it is right, else with other columns (by name or number; INPUTS=none for a free motion):\n"
         + f"  {command(paths, answer)}\nIn Python, roles={_dictionary(answer)}"
     )  # fmt: skip

@@ -5,6 +5,7 @@ question: all columns with a guess for each, and the command that answers it.
 """
 
 import difflib
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tras.io import clock, evidence
-from tras.io.words import UNITS_OF_TIME, guess_role, step_of, unit_in
+from tras.io.words import UNITS_OF_TIME, guess_role, says_nothing, step_of, unit_in
 from tras.workflow import arguments
 
 _KEYS = ("time", "states", "inputs", "trial", "dt", "units")
@@ -224,14 +225,24 @@ class _Assignment:
             self.reasons |= dict.fromkeys(columns, f"{role[:-1]} (name)")
         states, inputs = (self.spec.get(role, columns) for role, columns in by_name.items())
         doubtful = [] if "states" in self.spec else self.doubtful(states)
+        if not inputs and not {"states", "inputs"} & set(self.spec):
+            beside = _beside_y(states)
+            if beside:
+                self.why.append(f"{', '.join(beside)} may be the input, as there is y and no u")
+            doubtful, held = [*doubtful, *(name for name in beside if name not in doubtful)], doubtful
+        else:
+            held = doubtful
         open_columns = [name for name in rest if name not in (*states, *inputs) and self.is_open(name)]
         for role, columns in (("states", states), ("inputs", inputs)):
             if role not in self.spec:
                 self.guesses.append(f"{role} are {', '.join(columns) or 'none'}")
+        nameless = [name for name in open_columns if says_nothing(name)]
         if not states:
             self.why.append("no column is plainly a state or an output")
-        if doubtful:
-            self.why.append(f"{', '.join(doubtful)} would be a state by name, but jumps and stays like an input")
+        elif nameless and "states" not in self.spec:
+            self.why.append(f"{', '.join(nameless[:6])} move and nothing says what they are")
+        if held:
+            self.why.append(f"{', '.join(held)} would be a state by name, but jumps and stays like an input")
         if not inputs and "inputs" not in self.spec and open_columns:
             self.why.append("no column is plainly an input")
         return states, inputs, open_columns + doubtful
@@ -264,8 +275,9 @@ class _Assignment:
         inputs = list(roles.inputs)
         if not inputs and "inputs" not in self.spec:
             inputs = [name for name, (guess, _) in guesses.items() if guess == "input"]
-        if not states and "states" not in self.spec:
-            states = [name for name, (guess, _) in guesses.items() if guess == "state"]
+        if "states" not in self.spec:
+            of_values = [name for name, (guess, _) in guesses.items() if guess == "state"]
+            states += of_values if not states else [name for name in of_values if says_nothing(name)]
         for name, (_, why) in guesses.items():
             role = "state" if name in states else "input" if name in inputs else "left out"
             self.reasons[name] = f"{role}? {f'({why})' if why else ''}".strip()
@@ -284,6 +296,13 @@ class _Assignment:
         if len(finite) and min(finite) == max(finite):
             span = f"always {finite[0]:.5g}"
         return str(number), name, unit, span, self.reasons.get(name, "left out")
+
+
+def _beside_y(names):
+    """The columns x, x1, X2 of a table that has besides them but y, y1, Y2: in learning, x goes in and y comes out."""
+    xs = [name for name in names if re.fullmatch(r"[xX]_?\d*", name)]
+    ys = [name for name in names if re.fullmatch(r"[yY]_?\d*", name)]
+    return xs if ys and len(xs) + len(ys) == len(names) else []
 
 
 def mapping(roles) -> dict:

@@ -22,7 +22,6 @@ from tras.io.roles import RecordingError
 from tras.io.words import guess_role, step_of
 
 _MARK = f"# {FORMAT}: "  # our own files: one line of JSON above the header
-_POINTER = b"version https://git-lfs.github.com/spec/"
 _HEAD, _CHUNK = 2**22, 2**16  # bytes in which the layout is looked for, and that are read at once
 _MISSING = sorted({form for word in dialect.MISSING for form in (word, word.upper(), word.title())} | {"NaN", "#N/A"})
 _DECIMAL_COMMA = re.compile(rb"(?<![\d.,])[+-]?0?,\d|\d,\d{1,2}(?![\d,])|,\d{4}|\d{4},\d")  # none of thousands
@@ -71,8 +70,6 @@ class _Text:
     def __init__(self, path):
         self.path, self.encoding, self.size = path, "UTF-8", path.stat().st_size
         self.head, self.tail, self.is_plain = _scanned(path)
-        if self.head.startswith(_POINTER):
-            raise RecordingError("it is a pointer of Git LFS in place of the file: get the file by `git lfs pull`.")
         if not self.is_plain:
             self.content, self.encoding = _utf8(path.read_bytes())
             self.head, self.tail, self.size = self.content[:_HEAD], self.content[-_CHUNK:], len(self.content)

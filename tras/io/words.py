@@ -40,7 +40,9 @@ REFERENCE = set(
     "riferimento demand demanded commanded wanted".split()
 )
 _CONTROL = ("control", "ctrl", "command", "effort")  # of what stands before it
-_SEVERAL = re.compile(r"(.*\s(?:&|and|und|y)\s.*?)_?(\d)")  # `Pitch Angle & Reference2`: the second of two signals
+_COUNTS_ONLY = re.compile(r"(?:column |channel |ch|ans|data|signals?|var)?\d+(?:_\d+)?", re.IGNORECASE)
+# `Pitch Angle & Reference2`: one of two signals, and the label's order need not be that of the columns.
+_SEVERAL = re.compile(r".*\s(?:&|and|und|y)\s.*?_?\d")
 _UNCLEAR = set("time error err fehler erreur residual estimate estimated".split())
 _BESIDE = set(
     "battery batt index idx counter count sample samples frame id no nr status flag mode comment note".split()
@@ -91,14 +93,13 @@ def guess_role(name: str, others=()) -> str | None:
         return "step"
     if all(word in _BESIDE for word in words):
         return "beside"
-    if part := _SEVERAL.fullmatch(name):
-        parts = re.split(r"\s*(?:&|,|\band\b|\bund\b|\by\b)\s*", part[1])
-        return guess_role(parts[int(part[2]) - 1], others) if 0 < int(part[2]) <= len(parts) else None
+    if _SEVERAL.fullmatch(name):
+        return None
     if words[0] in TRIAL and all(word in ("id", "no", "nr", "num", "number", "index") for word in words[1:]):
         return "trial"
     plain = INPUT | STATE
     if any((_in(REFERENCE, word) and word not in plain) or word.startswith("soll") for word in words):
-        return "reference"
+        return None if says_nothing(name) else "reference"  # a scope of that name may show the state, too
     if words[0] in ("u", "tau", "input", "cmd", "actuator", "actuators") or words[-1] in _CONTROL:
         return "inputs" if not _UNCLEAR & set(words) else None  # u_phi: the input that moves phi
     if _NUMBERED.fullmatch(name) and sum(bool(_NUMBERED.fullmatch(other)) for other in others) > 1:
@@ -111,6 +112,15 @@ def guess_role(name: str, others=()) -> str | None:
     if len(words) > 1 and len(words[0]) == 1 and words[0] not in "dv" and words[1:] in map(of, others):
         return None
     return roles.pop() if roles else None
+
+
+def says_nothing(name: str) -> bool:
+    """Whether a name only counts: column 3, CH2, one of a scope's signals without a name or with a common one.
+
+    >>> [says_nothing(name) for name in ("3", "Scope1.signals2_1", "ans4", "Pitch & Reference2", "m1", "current")]
+    [True, True, True, True, False, False]
+    """
+    return bool(_SEVERAL.fullmatch(name) or _COUNTS_ONLY.fullmatch(name.rpartition(".")[2]))
 
 
 def step_of(name: str, value) -> float | None:
