@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from tras.io.roles import RecordingError
 
-WINDOW = 400  # lines that are looked at
+WINDOW, _TYPICAL = 200, 60  # lines that are looked at; that tell the separator
 MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"}
 SEPARATORS = (";", "\t", "|", ",", None)  # None: blanks
 WORDS = {";": "';'", "\t": "tabs", "|": "'|'", ",": "','", None: "blanks"}
@@ -35,6 +35,7 @@ class Layout(NamedTuple):
     preamble: list  # rows of cells above the names
     sentence: str
     brackets: bool  # whether rows stand in [ ; ], as MATLAB prints a matrix
+    has_blanks: bool  # beside separators
 
 
 def find(lines: list[str]) -> Layout:
@@ -65,7 +66,8 @@ def find(lines: list[str]) -> Layout:
     start = rows[first - 1][0] + 1 if first else offset
     decimal = _decimal(numbers)
     sentence = _sentence(separator, decimal, preamble, named)
-    return Layout(separator, decimal, start, width, names, named, units, preamble, sentence, brackets)
+    beside = separator is not None and any(f"{separator} " in line or f" {separator}" in line for line in lines[start:])
+    return Layout(separator, decimal, start, width, names, named, units, preamble, sentence, brackets, beside)
 
 
 def cells(lines, separator, brackets=False) -> list:
@@ -113,7 +115,9 @@ def _separator(lines):
     """The separator that makes the most cells numbers, in rows of equal width."""
     scores = {}
     for separator in SEPARATORS:
-        rows = [row for _, row in cells(lines, separator) if not is_comment(row) and any(map(is_number, row))]
+        rows = [
+            row for _, row in cells(lines[-_TYPICAL:], separator) if not is_comment(row) and any(map(is_number, row))
+        ]
         width = _mode(map(len, rows))
         counts = [(sum(map(is_number, row)), sum(map(bool, row))) for row in rows if len(row) == width]
         scores[separator] = sum(number * number / filled for number, filled in counts) if width > 1 else 0

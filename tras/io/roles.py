@@ -141,8 +141,9 @@ class _Assignment:
         for name in self.names:
             if self.kinds[name] not in ("step", "time") or (column := self.values(name)) is None:
                 continue
-            finite = column[np.isfinite(column)]
-            if finite.size and (finite == finite[0]).all() and len(column) > 1 and (step := step_of(name, finite[0])):
+            if len(column) < 2 or evidence.moves(column) or not np.isfinite(column).any():
+                continue
+            if step := step_of(name, column[np.isfinite(column)][0]):
                 if self.dt is not None and abs(step - self.dt) > 1e-6 * step:
                     raise RecordingError(f"the sampling times in it are {self.dt:g} and {step:g} s; give dt, in s.")
                 self.dt = step
