@@ -117,8 +117,7 @@ def grid(times: list) -> tuple[float, float, float]:
         rests = [np.subtract(t, line, out=line) for k, t in stretches for line in [k * step]]
         return max(float(rest.max() - rest.min()) / 2 for rest in rests)
 
-    ends = max(max(abs(float(t[0])), abs(float(t[-1]))) for t in times)
-    grain = 4 * np.spacing(ends)  # far from zero, stamps are rounded
+    grain = 4 * np.spacing(max(max(abs(float(t[0])), abs(float(t[-1]))) for t in times))  # of doubles
     deviation = worst(step)
     limit = 1.2 * deviation + grain
     reach = max((len(k) - 1) / 2 for k, _ in stretches)  # samples from the middle, where another step is off most
