@@ -12,7 +12,7 @@ from scipy.io import loadmat, savemat
 from scipy.sparse import csc_matrix
 
 import tras
-from tras.io import matfile5, matlab
+from tras.io import columns, matfile5, matlab
 from tras.io.roles import Roles
 
 R = tras.Recording
@@ -451,6 +451,17 @@ def test_a_scope_with_decimation_gives_the_common_grid(tmp_path):
     savemat(tmp_path / "a.mat", {"x": {"Time": TIME, "Data": X}, "u": {"Time": TIME[::2] + 1e-12, "Data": U[::2]}})
     recording = R.read(tmp_path / "a.mat")
     assert recording.dt == 0.5 and np.array_equal(recording.states[0], X[::2])
+
+
+def test_many_signals_with_times_of_their_own_are_no_burden(tmp_path):
+    """Compared each with each, thousands of scopes of ten samples would take minutes."""
+    times = np.add.outer(np.arange(5_000) / 7, TIME)
+    scopes = [{"time": time, "signals": [{"values": X, "label": ""}]} for time in times]
+    whole = columns.tables([{f"s{i}": each for i, each in enumerate(scopes)}], remarks := [])[0]
+    assert len(whole.times) == 5_000 and len(whole.names) == 10_001 and remarks == []
+    again = [{"time": TIME, "signals": [{"values": X, "label": "q"}]}] * 5_000
+    whole = columns.tables([{f"s{i}": each for i, each in enumerate(again)}], remarks)[0]
+    assert whole.names == ["time", "q1", "q2"] and len(remarks) == 4_999
 
 
 def test_scopes_without_a_common_time(tmp_path):
