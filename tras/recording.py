@@ -439,7 +439,7 @@ class Recording:
     def _of(self, states, inputs, origins):
         """`with_data` of trajectories that come from those with the numbers ``origins``: the test set stays one."""
         new = self.with_data(states, inputs)
-        held_back = self._held_back()
+        held_back = self.held_back()
         new._hold_back([i for i, origin in enumerate(origins) if origin in held_back])
         return new
 
@@ -454,9 +454,9 @@ class Recording:
             new._hold_back([])  # the numbers were those of other trajectories
         return new
 
-    def _held_back(self):
-        """Numbers of the trajectories for the test; a file may hold anything under this name."""
-        numbers = self.attributes.get(_TEST)
+    def held_back(self) -> list[int]:
+        """Numbers of the trajectories that are for the test (attribute ``test_trajectories``), or []."""
+        numbers = self.attributes.get(_TEST)  # a file may hold anything under this name
         return [i for i in range(len(self)) if i in numbers] if isinstance(numbers, list) else []
 
     def _hold_back(self, numbers):
@@ -515,7 +515,7 @@ def join(recordings: Recording | Iterable[Recording]) -> Recording:
     for i, other in enumerate(recordings[1:], start=1):
         require_alike(first, other, i)
     joined = first.with_data([x for r in recordings for x, _ in r], [u for r in recordings for _, u in r])
-    joined._hold_back([k for r, before in _offsets(recordings) for k in (before + i for i in r._held_back())])
+    joined._hold_back([k for r, before in _offsets(recordings) for k in (before + i for i in r.held_back())])
     return joined
 
 

@@ -67,7 +67,9 @@ def recording_of(source, paths, roles, *, dt=None, trials=None, wishes=sampling.
     """As `read`, of an open ``source`` of the files ``paths``; ``trials`` are the test, ``alone``: a single file."""
     header = _checked(source.header) if source.header is not None and roles is None and dt is None else None
     source = source._replace(dt=header["dt"]) if header else source
-    columns, guesses = _roles(source, header, mapping(roles) | ({} if dt is None else {"dt": dt}), paths)
+    spec = mapping(roles) | ({} if dt is None else {"dt": dt})
+    source, spec = several.side_by_side(source, spec) if spec else (source, spec)
+    columns, guesses = _roles(source, header, spec, paths)
     x, u, step, noticed, origins = sampling.trajectories(source.read(columns), columns, source.locate, wishes=wishes)
     if header and wishes.resample is None:
         step = header["dt"] * wishes.decimate
