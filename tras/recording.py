@@ -303,9 +303,9 @@ class Recording:
         Parameters
         ----------
         path : str or pathlib.Path, or a sequence of them
-            .nc (written by `write`), .parquet, .mat (versions 4 to 7.3: arrays, structs, structs with Time and Data,
-            cell arrays of trials), or a text table: .csv, .txt, .dat, .tsv, .log, .lvm, as loggers, oscilloscopes and
-            spreadsheets write them. Several files are trials if they have the same columns, else signals of one
+            .nc (written by `write`), .parquet, .mat (versions 4 to 7.3: arrays, structs, iddata, timetables, Simulink's
+            logs, cell arrays of trials), or a text table: .csv, .txt, .dat, .tsv, .log, .lvm, as loggers, oscilloscopes
+            and spreadsheets write them. Several files are trials if they have the same columns, else signals of one
             recording, merged by time.
         roles : dict or path of a YAML file, optional
             ``time`` and ``trial``: a column each (or null); ``states`` (or ``outputs``) and ``inputs``: lists of
