@@ -55,6 +55,13 @@ def _source(variables):
         test += range(len(trials), len(trials) + len(new)) if is_test else []
         trials += new
     remarks += workspace.left_out(unread)
+    numbers = [
+        f"{key} = {value.item():g}"
+        for key, value in variables.items()
+        if isinstance(value, np.ndarray) and value.size == 1
+    ]
+    if numbers and not steps:
+        remarks.append(f"single numbers in it: {', '.join(numbers[:8])}")
     tables = columns.tables(trials, remarks)
     if not tables or not tables[0].names:
         listing = ", ".join(map(repr, list(variables)[:30])) or "no variables"
