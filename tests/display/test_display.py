@@ -108,11 +108,17 @@ def test_a_constant_state_has_no_fit(recording, model):
     assert "no fit: constant" in tras.compare(still, model).axes[0].get_legend().get_texts()[1].get_text()
 
 
-@pytest.mark.parametrize("draw", ["recording", "model", "spectrum"])
-def test_a_figure_fits_its_column(draw, recording, model):
-    figure = {"recording": recording.plot, "model": lambda: model.plot(recording), "spectrum": model.plot_spectrum}[
-        draw
-    ]()
+@pytest.mark.parametrize("draw", ["recording", "model", "two", "five", "spectrum"])
+def test_a_figure_fits_its_column(draw, recording, model, poor):
+    figure = {
+        "recording": recording.plot,
+        "model": lambda: model.plot(recording),
+        "two": lambda: tras.compare(recording, model, poor, names=["mechanical", "linear"]),
+        "five": lambda: tras.compare(
+            recording, *[model, poor] * 2, model, names=["MMMM", "l" * 22, "m", "W" * 30, "x"]
+        ),
+        "spectrum": model.plot_spectrum,
+    }[draw]()
     assert isinstance(figure, Figure) and figure.get_figwidth() == WIDTH
     renderer, texts = visible_texts(figure)
     page = figure.bbox
