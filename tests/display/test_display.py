@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 from conftest import linear_system, visible_texts
+from hypothesis import example as instance
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from IPython.core.formatters import DisplayFormatter
@@ -246,6 +247,7 @@ def test_many_channels_stay_short():
 
 @pytest.mark.filterwarnings("ignore:Glyph .* missing")  # a box is drawn
 @settings(deadline=None, max_examples=50)
+@instance("$\\frac{$")
 @given(st.text(min_size=1))
 def test_any_name_is_drawn_and_escaped(name):
     from tras.plotting import plain
