@@ -56,9 +56,9 @@ OUT_02 := $(addprefix $(DATA)/,held_out.nc identification.csv spectrum.csv $(MOD
 OUT_03 := $(addprefix $(DATA)/,metrics.csv horizon.csv overlay.csv)
 OUT_04 := $(addprefix $(FIGURES)/,$(foreach kind,pdf svg png csv,$(DRAWN:%=%.$(kind))) table.csv)
 OUT_05 := $(ROBUSTNESS:%=$(DATA)/%.csv) $(addprefix $(FIGURES)/,$(foreach kind,pdf svg png csv,$(ROBUSTNESS_DRAWN:%=%.$(kind))))
-OUT_06 := $(DATA)/readings.csv $(foreach kind,pdf svg png csv,$(FIGURES)/readings_effects.$(kind) $(FIGURES)/readings_nearest.$(kind))
+OUT_06 := $(addprefix $(DATA)/,readings.csv readings_around.csv readings_start.csv) $(foreach kind,pdf svg png csv,$(FIGURES)/readings_effects.$(kind) $(FIGURES)/readings_nearest.$(kind))
 OUT_07 := $(addprefix $(DATA)/,comparison.csv comparison_tuning.csv comparison_data.csv) \
-  $(foreach kind,pdf svg png csv,$(addprefix $(FIGURES)/,comparison_horizon.$(kind) comparison_data.$(kind) comparison_pareto.$(kind)))
+  $(foreach kind,pdf svg png csv,$(addprefix $(FIGURES)/,comparison_window.$(kind) comparison_horizon.$(kind) comparison_data.$(kind)))
 OUT_08 := $(DATA)/claims.csv
 OUT_09 := $(addprefix $(FIGURES)/,animation.gif animation.csv $(foreach kind,pdf svg png csv,portrait.$(kind)))
 
@@ -104,9 +104,9 @@ SWEEP ?= params/sweeps/dictionaries.yaml
 sweep: $(READY) ## many fits, described by SWEEP=params/sweeps/dictionaries.yaml, on this machine's cores or SCHEDULER=tcp://host:8786
 	@$(PY) -m tras.sweeps.command $(SWEEP) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
-# RECORDING=log.csv, and where names are not plain ROLES=roles.yaml or STATES=a,b INPUTS=c TIME=t TRIAL=run; also DT= RESAMPLE= PREDICTOR= DELAYS=
-# SMOOTHING= DRAWS= OUT= (docs/own_rig.md).
-IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL DT RESAMPLE PREDICTOR DELAYS SMOOTHING DRAWS
+# RECORDING=log.csv, "a.csv b.csv" or "run*.csv", and where names are not plain ROLES=roles.yaml or STATES=a,b INPUTS=c TIME=t TRIAL=run; also
+# TEST= FROM= TO= DECIMATE= DT= RESAMPLE= PREDICTOR= DELAYS= SMOOTHING= DRAWS= OUT= (docs/own_rig.md).
+IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL TEST FROM TO DECIMATE DT RESAMPLE PREDICTOR DELAYS SMOOTHING DRAWS
 quoted = '$(subst ','\'',$(1))'
 lower = $(shell printf %s "$(1)" | tr A-Z a-z)
 
@@ -136,8 +136,9 @@ test: $(READY) ## unit tests, then every notebook of the small profile rerun and
 	  && $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) build/smoke/identify/identify.ipynb || status=1; \
 	exit $$status
 
+# notebooks/.jupyter turns off JupyterLab's question about news, which would come before everything else.
 lab: $(READY) ## open the explorer in JupyterLab, the other notebooks beside it
-	$(PY) -m jupyterlab --ServerApp.root_dir=. $(if $(filter 0,$(shell id -u)),--allow-root) notebooks/explore.ipynb
+	JUPYTER_CONFIG_PATH=notebooks/.jupyter $(PY) -m jupyterlab --ServerApp.root_dir=. $(if $(filter 0,$(shell id -u)),--allow-root) notebooks/explore.ipynb
 
 lock: ## resolve environment.in, and what builds its sources, anew (needs uv; UPGRADE=1 for newer versions)
 	@command -v uv >/dev/null || { echo "make lock needs uv, which was not found on PATH: python3 -m pip install uv." >&2; exit 1; }
@@ -146,13 +147,13 @@ lock: ## resolve environment.in, and what builds its sources, anew (needs uv; UP
 
 ifeq ($(PROFILE),paper)
 verify: reference/SHA256SUMS $(STAMPS) $(OUTPUTS) ## compare data, models and figures with reference/: bytes, numbers, looks
-	@$(PY) -m tras.paper.verification $(OUTPUTS)
+	@$(PY) -m tras.paper.verification --paper $(PAPER_OUTPUTS) --studies $(STUDY_OUTPUTS)
 
 reference/SHA256SUMS: # said before anything is built
 	@echo "$@ does not exist, so there is nothing to compare with: git checkout reference, or make bless to take this machine's results." >&2; exit 2
 
 bless: $(STAMPS) $(OUTPUTS) ## take them as the new reference/ (nothing else writes there)
-	@$(PY) -m tras.paper.verification --bless $(OUTPUTS)
+	@$(PY) -m tras.paper.verification --bless --paper $(PAPER_OUTPUTS) --studies $(STUDY_OUTPUTS)
 else
 verify bless:
 	@echo "make $@ is for PROFILE=paper, whose numbers reference/ holds; for PROFILE=$(PROFILE) there is no reference." >&2; exit 2

@@ -51,7 +51,7 @@ if __name__ == "__main__":
     rounds = parser.parse_args().rounds
     study = grid.Study()
     start = time.process_time()
-    recording = grid.simulate(study, "rad/s", "corrected", 1)
+    recording = grid.simulate(study, readings.Readings().model_dump(), 1)
     simulation = time.process_time() - start
     total = bare = fits = 0
     for name in readings.choices("dictionary"):

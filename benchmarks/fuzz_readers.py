@@ -16,6 +16,7 @@ import csv
 import multiprocessing
 import os
 import resource
+import struct
 import sys
 import tempfile
 import time
@@ -31,7 +32,14 @@ from scipy.io import savemat  # noqa: E402
 
 import tras  # noqa: E402
 
+TEXTS = ("dat", "log", "tsv", "lvm", "txt")
 CHECKED = ("own.nc", "own.parquet", "own.mat")
+# Of files whose columns have no plain names.
+ROLES = {
+    "to_file.mat": {"time": "ans1", "inputs": "ans2", "states": ["ans3", "ans4"]},
+    "blanks.dat": {"time": "1", "states": ["2", "3"], "inputs": "4"},
+    "scopes.mat": {"states": ["x1", "x2"], "inputs": "u"},
+}
 PATIENCE = 10  # s
 WRONG = ("crash", "hang", "traceback")
 
@@ -61,6 +69,16 @@ def seeds(folder):
     savemat(folder / "matlab5.mat", cells)
     savemat(folder / "matlab5z.mat", {"log": {"t": t[0], "x": x[0], "u": u[0], "name": "rig"}}, do_compression=True)
     _matlab73(folder / "matlab73.mat", cells)
+    savemat(folder / "version4.mat", {"t": t[0], "x": x[0], "u": u[0]}, format="4")
+    savemat(folder / "to_file.mat", {"ans": np.vstack([t[0], u[0].T, x[0].T])}, format="4")
+    scopes = {"angle": _scope(t[0], x[0], "x"), "control": _scope(np.r_[t[0], 9.0], np.r_[u[0], [[0.0]]], "u")}
+    savemat(folder / "scopes.mat", scopes)
+    split = {"uEst": u[0], "xEst": x[0], "uVal": u[1], "xVal": x[1], "Ts": 0.25, "G": x[0] + 1j}
+    savemat(folder / "split.mat", split)
+    savemat(folder / "parts.mat", {"train": _cell([{"t": t[0], "x": x[0], "u": u[0]}] * 2), "val": cells})
+    (folder / "iddata.mat").write_bytes(_iddata(x, u))
+    (folder / "timetable.mat").write_bytes(_timetable(t[0], x[0], u[0]))
+    _text_tables(folder, np.column_stack([t[0], x[0], u[0]]))
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
@@ -68,6 +86,110 @@ def _cell(values):
     array = np.empty((1, len(values)), dtype=object)
     array[0, :] = values
     return array
+
+
+def _scope(time, values, label):
+    """Simulink's structure with time."""
+    signal = np.array([(values, 2.0, label)], dtype=[("values", object), ("dimensions", object), ("label", object)])
+    return {"time": time[:, None], "signals": signal, "blockName": "rig/Scope"}
+
+
+def _text_tables(folder, table):
+    """As loggers, oscilloscopes and spreadsheets write them."""
+    rows = [[f"{value:.4f}" for value in row] for row in table]
+
+    def write(name, separator, *above, encoding="utf-8", end=""):
+        lines = [*above, *(separator.join(row) + end for row in rows), ""]
+        (folder / name).write_text("\n".join(lines), encoding=encoding)
+
+    write("blanks.dat", "  ", end="  ")
+    write("preamble.log", "\t", "Rig 3", "Operator: N. N.", "", "time\tphi\tphidot\tu1")
+    write("units.tsv", "\t", "time\tphi\tphidot\tu1", "s\trad\trad/s\tV")
+    write(
+        "labview.lvm",
+        "\t",
+        "LabVIEW Measurement",
+        "Writer_Version\t2",
+        "***End_of_Header***",
+        "X_Value\tphi\tphidot\tu1",
+    )
+    write("bars.txt", " | ", "time | phi | phidot | u1", end=" | ", encoding="utf-16")
+
+
+def element(kind, content):
+    """An element of a MATLAB file of version 5."""
+    return struct.pack("<II", kind, len(content)) + content + bytes(-len(content) % 8)
+
+
+def value(number, name, dims, *elements):
+    """A variable of the class ``number``, or what stands in a cell or field."""
+    head = element(6, struct.pack("<II", number, 0)) + element(5, struct.pack("<2i", *dims))
+    return element(14, head + element(1, name) + b"".join(elements))
+
+
+def matrix(array):
+    array = np.atleast_2d(array).astype(float)
+    return value(6, b"", array.shape, element(9, array.tobytes(order="F")))
+
+
+def cells(*values):
+    return value(1, b"", (len(values), 1), *values)
+
+
+def text(content):
+    return value(4, b"", (1, len(content)), element(16, content))
+
+
+def structure(fields, number=2, name=b"", kind=()):
+    names = element(1, b"".join(key.encode().ljust(32, b"\0") for key in fields))
+    return value(number, name, (1, 1), *kind, element(5, struct.pack("<i", 32)), names, *fields.values())
+
+
+def opaque(name, kind, content):
+    head = element(6, struct.pack("<II", 17, 0)) + b"".join(element(1, word) for word in (name, b"MCOS", kind))
+    return element(14, head + content)
+
+
+def version5(*variables):
+    return b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"".join(variables)
+
+
+def _timetable(t, x, u):
+    """A file of version 5 with a timetable: a reference, and the part for objects at the end."""
+    data = {
+        "data": cells(matrix(x), matrix(u)), "varNames": cells(text(b"x"), text(b"u")), "numRows": matrix(len(t)),
+        "rowTimes": _words(0xDD000000, 2, 1, 1, 2, 2),
+    }  # fmt: skip
+    names = b"timetable\0any\0duration\0millis\0".ljust(40, b"\0")
+    regions = [
+        (0, 0, 0, 0, 0, 1, 0, 0, 0, 3, 0, 0), (0, 0), (*[0] * 6, 1, 0, 0, 0, 1, 1, 2, 0, 0, 0, 2, 2),
+        (0, 0, 1, 2, 1, 0, 1, 4, 1, 1), (0, 0),
+    ]  # fmt: skip
+    ends = np.cumsum([40 + len(names), *(4 * len(region) for region in regions), 0, 0])
+    index = np.array([4, 4, *ends], dtype="<u4").tobytes() + names
+    index += b"".join(np.array(region, dtype="<u4").tobytes() for region in regions)
+    index = value(9, b"", (len(index), 1), element(2, index))
+    wrapper = cells(index, matrix(np.zeros((0, 0))), structure(data), matrix(1000 * t[:, None]), *[cells()] * 3)
+    inner = b"\x00\x01IM" + bytes(4) + structure({"MCOS": opaque(b"MCOS", b"FileWrapper__", wrapper)})
+    store = value(9, b"", (len(inner), 1), element(2, inner))
+    return version5(opaque(b"log", b"timetable", _words(0xDD000000, 2, 1, 1, 1, 1)), store)
+
+
+def _words(*numbers):
+    return value(13, b"", (len(numbers), 1), element(6, np.array(numbers, dtype="<u4").tobytes()))
+
+
+def _iddata(x, u):
+    """A file of version 5 with an iddata object of two experiments, beside an opaque object and a function handle."""
+    fields = {
+        "Domain": text(b"Time"), "OutputData": cells(*map(matrix, x)), "OutputName": cells(text(b"q"), text(b"v")),
+        "OutputUnit": cells(text(b"rad"), text(b"rad/s")), "InputData": cells(*map(matrix, u)),
+        "InputName": cells(text(b"force")), "InputUnit": cells(text(b"N")),
+        "InterSample": cells(text(b"zoh"), text(b"zoh")), "Ts": cells(matrix(0.25), matrix(0.25)),
+        "SamplingInstants": cells(matrix(np.zeros((7, 0))), matrix(np.zeros((4, 0)))), "TimeUnit": text(b"seconds"),
+    }  # fmt: skip
+    data = structure(fields, 3, b"z", [element(1, b"iddata")])
+    return version5(data, opaque(b"ts", b"timeseries", matrix(1.0)), value(16, b"f", (1, 1), matrix(1.0)))
 
 
 def _matlab73(path, cells):
@@ -117,13 +239,14 @@ def damaged(content, others, rng):
 def content_of(recording):
     """All that must not change unnoticed."""
     labels = (recording.dt, recording.state_names, recording.input_names, recording.state_units, recording.input_units)
+    labels += tuple(recording.attributes.get(key) for key in ("intersample", "test_trajectories"))
     return repr(labels), [(x.tobytes(), u.tobytes()) for x, u in recording]
 
 
-def verdict(path, truth):
-    """What reading ``path`` comes to."""
+def verdict(path, roles, truth):
+    """What reading ``path`` with ``roles`` comes to."""
     try:
-        recording = tras.Recording.read(path)
+        recording = tras.Recording.read(path, roles)
     except tras.RecordingError as error:
         foreseen = isinstance(error.__cause__, ValueError) or path.suffix == ".nc" or error.__cause__ is None
         return (
@@ -143,7 +266,7 @@ def work(jobs, answers, folder, names, contents, truths):
     for name, seed in iter(jobs.recv, None):
         path = folder / f"damaged{Path(name).suffix}"
         path.write_bytes(damaged(contents[name], contents_of_kind(contents, name), np.random.default_rng(seed)))
-        answers.send(verdict(path, truths[name]))
+        answers.send(verdict(path, ROLES.get(name), truths[name]))
 
 
 def contents_of_kind(contents, name):
@@ -191,7 +314,7 @@ def main():
     parser.add_argument("--inputs", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after this time")
-    parser.add_argument("--only", nargs="*", default=["csv", "nc", "parquet", "mat"])
+    parser.add_argument("--only", nargs="*", default=["csv", "nc", "parquet", "mat", *TEXTS])
     parser.add_argument("--csv", type=Path, help="write the table here")
     options = parser.parse_args()
     began, counts, kinds = time.monotonic(), collections.defaultdict(collections.Counter), collections.Counter()
@@ -199,7 +322,7 @@ def main():
         originals = Path(folder) / "whole"
         originals.mkdir()
         contents = seeds(originals)
-        truths = {name: content_of(tras.Recording.read(originals / name)) for name in contents}
+        truths = {name: content_of(tras.Recording.read(originals / name, ROLES.get(name))) for name in contents}
         names = [name for name in contents if Path(name).suffix[1:] in options.only]
         child = Child(Path(folder), names, contents, truths)
         for number in range(options.inputs):

@@ -38,6 +38,7 @@ _ROOMS = {
     "Recording": "recording",
     "RecordingError": "io.roles",
     "remarks": "io.formats",
+    "example": "identification.examples",
     "PID": "twin_rotor.closed_loop",
     "simulate_closed_loop": "twin_rotor.closed_loop",
     "simulate_closed_loops": "twin_rotor.closed_loop",

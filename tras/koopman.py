@@ -1,4 +1,4 @@
-"""The Koopman matrix: K = Psi_x^+ Psi_y by least squares over all snapshot pairs (paper, (9)-(14)).
+"""The Koopman matrix: K = Psi_x^† Psi_y by least squares over all snapshot pairs (paper, (9)-(14)).
 
 The pairs stream through `tras.solver.least_squares` in blocks: memory does not grow with the number of samples, and
 coefficients are as good as those of a QR decomposition or better. The fit is of the change D = K - I, because ``psi(y)

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import matplotlib.style
 import pandas as pd
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tras.workflow.arguments import short
@@ -23,6 +24,7 @@ WIDTH = 3.5  # one journal column, inches
 TRUTH = {"color": "black", "linestyle": ":", "linewidth": 1.3}
 MODEL = {"color": "#0072B2", "linestyle": "-", "linewidth": 1.1}
 LINEAR = {"color": "#D55E00", "linestyle": (0, (4, 3)), "linewidth": 1.1}
+MECHANICAL = {"color": "#6CC4A4", "linestyle": "-", "linewidth": 2.8}  # wide and light: seen where the truth lies on it
 
 
 @contextmanager
@@ -75,6 +77,15 @@ def new_figure(
     axes = figure.subplots(rows, columns, sharex=sharex, **subplot_options)
     figure.align_ylabels()
     return figure, axes
+
+
+@styled()
+def png(figure: Figure, dpi: float = 130) -> bytes:
+    """A figure as the bytes of a PNG, for a notebook or a widget; ``dpi`` are its dots per inch."""
+    target = io.BytesIO()
+    FigureCanvasAgg(figure)
+    figure.savefig(target, format="png", dpi=dpi, metadata={"Software": None})
+    return target.getvalue()
 
 
 def save_figure(figure: Figure, table: pd.DataFrame, stem: str | Path) -> list[Path]:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Trajectories = ArrayLike | Sequence[ArrayLike]
+_TEST = "test_trajectories"  # attribute: numbers of the trajectories that are for the test
 _RESERVED = ("trajectory", "time", "sample", "row_size")  # columns and dimensions of the table and the file
 
 
@@ -138,7 +139,7 @@ class Recording:
     def __getitem__(self, index: int | slice | Sequence[int] | Sequence[bool] | np.ndarray) -> "Recording":
         """A recording of the trajectory or trajectories at an integer, slice, list of integers or boolean mask."""
         numbers = np.atleast_1d(np.arange(len(self))[index])
-        return self.with_data([self._states[i] for i in numbers], [self._inputs[i] for i in numbers])
+        return self._of([self._states[i] for i in numbers], [self._inputs[i] for i in numbers], numbers.tolist())
 
     def __repr__(self):
         lengths = self.lengths
@@ -211,20 +212,22 @@ class Recording:
             raise ValueError(
                 f"samples = {samples}; pieces need 2 to {self.lengths.max()} samples, the longest trajectory's length."
             )
-        starts = [(x, u, k) for x, u in self for k in range(0, len(x) - samples + 1, samples - 1)]
-        return self.with_data([x[k : k + samples] for x, _, k in starts], [u[k : k + samples] for _, u, k in starts])
+        starts = [(x, u, k, i) for i, (x, u) in enumerate(self) for k in range(0, len(x) - samples + 1, samples - 1)]
+        states, inputs = ([pair[j][pair[2] : pair[2] + samples] for pair in starts] for j in (0, 1))
+        return self._of(states, inputs, [i for *_, i in starts])
 
     def cut_all(self, samples: int) -> "Recording":
         """As `cut`, but rests and shorter trajectories are kept with the length that they have."""
         samples = whole_number("samples", samples)
         if samples < 2:
             raise ValueError(f"samples = {samples}; pieces need 2 samples or more.")
-        states, inputs = [], []
-        for x, u in self:
+        states, inputs, origins = [], [], []
+        for i, (x, u) in enumerate(self):
             for k in range(0, max(len(x) - 1, 1), samples - 1):
                 states.append(x[k : k + samples])
                 inputs.append(u[k : k + samples])
-        return self.with_data(states, inputs)
+                origins.append(i)
+        return self._of(states, inputs, origins)
 
     def delayed(self, delays: int, *, inputs: bool = False) -> "Recording":
         """The states of ``delays`` earlier samples, newest first, as states beside the present ones, and the earlier
@@ -322,28 +325,35 @@ class Recording:
     @classmethod
     def read(
         cls,
-        path: str | Path,
+        path: str | Path | Sequence[str | Path],
         roles: dict | str | Path | None = None,
         *,
         dt: float | None = None,
         resample: float | None = None,
         missing: str = "cut",
-        tolerance: float = 0.01,
+        tolerance: float = 0.2,
+        start: float | None = None,
+        end: float | None = None,
+        decimate: int = 1,
+        test: str | Path | Sequence[str | Path | int] | None = None,
     ) -> "Recording":
         """Read a file that `write` has written, or one of your own from a logger, a spreadsheet or MATLAB.
 
         Parameters
         ----------
-        path : str or pathlib.Path
-            .nc (written by `write`), .csv, .parquet or .mat (versions 5 to 7.3: arrays, structs, structs with Time and
-            Data, cell arrays of trials).
+        path : str or pathlib.Path, or a sequence of them
+            .nc (written by `write`), .parquet, .mat (versions 4 to 7.3: arrays, structs, structs with Time and Data,
+            cell arrays of trials), or a text table: .csv, .txt, .dat, .tsv, .log, .lvm, as loggers, oscilloscopes and
+            spreadsheets write them. Several files are trials if they have the same columns, else signals of one
+            recording, merged by time.
         roles : dict or path of a YAML file, optional
             ``time`` and ``trial``: a column each (or null); ``states`` (or ``outputs``) and ``inputs``: lists of
-            columns; ``units``: column -> unit; ``dt``: sampling time in s. ``trial`` may be the column of time: a new
-            trial begins where it jumps back. Roles not given are guessed where names are plain (t, time; u1, torque; q,
-            x2, theta_dot; run) and said in ``attributes["guessed"]``.
+            columns; ``units``: column -> unit; ``dt``: sampling time in s. Columns are called by name, or by number
+            from 1. ``trial`` may be the column of time: a new trial begins where it jumps back. Roles not given are
+            guessed where names (t, time; u1, torque; q, x2, theta_dot; run) or values are plain, and said in
+            ``attributes["guessed"]``. Where they are not, the error is a question with a guess for every column.
         dt : float, optional
-            Sampling time in s where there is no column of time; with one, what its steps must be.
+            Sampling time in s. It is taken whatever a column of time says.
         resample : float, optional
             New sampling time in s: linear for states, the last value held for inputs. Otherwise uneven times are an
             error.
@@ -351,7 +361,15 @@ class Recording:
             Rows with an empty, NaN or infinite value: trajectories are cut there, or it is an error. Pieces of a single
             sample are dropped.
         tolerance : float
-            How far a step of time may be from the sampling time, as a fraction of it.
+            How far a time stamp may lie from the even grid that fits all of them best, as a fraction of the sampling
+            time. Of fewer than ten stamps 0.01 at most.
+        start, end : float, optional
+            The part of every trial that is read, in s since its first sample.
+        decimate : int
+            Keep the first of every so many samples; inputs become their mean over the samples between.
+        test : path, or a sequence of paths or of numbers of trials (from 1), optional
+            What `tras.identify` tests by, and nothing is chosen or fitted by. Its numbers of trajectories are in
+            ``attributes["test_trajectories"]``.
 
         Returns
         -------
@@ -378,26 +396,93 @@ class Recording:
         >>> recording.attributes["guessed"]
         ['time is column t', 'states are theta', 'inputs are torque', 'the sampling time is 0.1 s']
         """
-        from tras.io import formats
+        from tras.io import formats, frame, sampling
         from tras.io.roles import RecordingError
         from tras.workflow.arguments import MissingExtraError
 
-        path = formats.known(path)
+        if frame.is_frame(path):
+            raise RecordingError(
+                f"path is an open {type(path).__name__}; read a table with Recording.from_frame(dataframe)."
+            )
+        paths = [formats.known(each) for each in ([path] if isinstance(path, (str, Path)) else path)]
+        if not paths:
+            raise ValueError("path is an empty list; give at least one file.")
+        wishes = sampling.Wishes(resample, missing, tolerance, start, end, decimate)
+        test = [test] if isinstance(test, (str, Path, int)) else test
         try:
-            return cls(**formats.read(path, roles, dt=dt, resample=resample, missing=missing, tolerance=tolerance))
+            return cls(**formats.read(paths, roles, dt=dt, test=test, wishes=wishes))
         except (FileNotFoundError, MissingExtraError):
             raise
         except Exception as error:  # damaged files make the libraries below raise anything
-            if path.suffix == ".nc" and not str(error).startswith(str(path)):
+            name = ", ".join(map(str, paths))
+            if paths[0].suffix == ".nc" and not str(error).startswith(name):
                 raise RecordingError(
-                    f"{path} cannot be read as a recording ({error}); make it again with Recording.write."
+                    f"{name} cannot be read as a recording ({error}); make it again with Recording.write."
                 ) from error
             what = (
                 str(error)
                 if isinstance(error, ValueError)
                 else f"it is damaged, or not what its suffix says ({type(error).__name__}: {error})"
             )
-            raise RecordingError(what if what.startswith(str(path)) else f"{path}: {what}") from error
+            raise RecordingError(what if what.startswith(name) else f"{name}: {what}") from error
+
+    @classmethod
+    def from_frame(
+        cls,
+        dataframe,
+        roles: dict | str | Path | None = None,
+        *,
+        dt: float | None = None,
+        resample: float | None = None,
+        missing: str = "cut",
+        tolerance: float = 0.2,
+        start: float | None = None,
+        end: float | None = None,
+        decimate: int = 1,
+        test: int | Sequence[int] | None = None,
+    ) -> "Recording":
+        """A recording of a pandas table, as `read` makes one of a file.
+
+        Parameters
+        ----------
+        dataframe : pandas.DataFrame
+            One column per channel, (samples, columns). An index of times, or one with a name, is a column, too. Units:
+            ``dataframe.attrs["units"]``, a dict column -> unit, or those of ``roles``.
+        roles, dt, resample, missing, tolerance, start, end, decimate
+            As for `read`.
+        test : int or sequence of int, optional
+            Numbers of the trials, from 1, that are held back for the test.
+
+        Raises
+        ------
+        ValueError
+            As `read`.
+
+        Examples
+        --------
+        >>> import pandas
+        >>> table = pandas.DataFrame({"t": [0.0, 0.1, 0.2], "theta": [0.1, 0.2, 0.4], "torque": [2.0, 2.0, 1.5]})
+        >>> Recording.from_frame(table)
+        Recording: 1 trajectories of 3 samples at 0.1 s; states theta; inputs torque
+        """
+        from tras.io import formats, frame, sampling
+        from tras.io.roles import RecordingError
+
+        wishes = sampling.Wishes(resample, missing, tolerance, start, end, decimate)
+        test = [test] if isinstance(test, int) else test
+        try:
+            return cls(
+                **formats.recording_of(frame.open_table(dataframe), [], roles, dt=dt, trials=test, wishes=wishes)
+            )
+        except ValueError as error:
+            raise RecordingError(str(error)) from error
+
+    def _of(self, states, inputs, origins):
+        """`with_data` of trajectories that come from those with the numbers ``origins``: the test set stays one."""
+        new = self.with_data(states, inputs)
+        held_back = self._held_back()
+        new._hold_back([i for i, origin in enumerate(origins) if origin in held_back])
+        return new
 
     def with_data(self, states: list[np.ndarray], inputs: list[np.ndarray], **labels) -> "Recording":
         """A recording of other trajectories (lists of sound arrays) with this one's labels; nothing is checked."""
@@ -406,7 +491,20 @@ class Recording:
         new.__dict__.update({name: tuple(value) for name, value in labels.items()})
         if not states:
             raise ValueError("no trajectory is left; choose at least one.")
+        if len(states) != len(self):
+            new._hold_back([])  # the numbers were those of other trajectories
         return new
+
+    def _held_back(self):
+        """Numbers of the trajectories for the test; a file may hold anything under this name."""
+        numbers = self.attributes.get(_TEST)
+        return [i for i in range(len(self)) if i in numbers] if isinstance(numbers, list) else []
+
+    def _hold_back(self, numbers):
+        """State which trajectories are for the test."""
+        self.attributes.pop(_TEST, None)
+        if numbers:
+            self.attributes[_TEST] = numbers
 
 
 def join(recordings: Recording | Iterable[Recording]) -> Recording:
@@ -431,7 +529,14 @@ def join(recordings: Recording | Iterable[Recording]) -> Recording:
     first = several[0]
     for i, other in enumerate(several[1:], start=1):
         require_alike(first, other, i)
-    return first.with_data([x for each in several for x, _ in each], [u for each in several for _, u in each])
+    joined = first.with_data([x for each in several for x, _ in each], [u for each in several for _, u in each])
+    joined._hold_back([k for r, before in _offsets(several) for k in (before + i for i in r._held_back())])
+    return joined
+
+
+def _offsets(recordings):
+    """(recording, number of trajectories before it) of each."""
+    return zip(recordings, np.cumsum([0, *map(len, recordings)]).tolist())
 
 
 def require_alike(first, other, i):

@@ -3,19 +3,20 @@
 import json
 import re
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from conftest import ROOT
+from conftest import ROOT, visible_texts
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tras import plotting
 from tras.explorer import choice, explore, figures
 from tras.explorer.choice import Choice, ChoiceError
-from tras.explorer.widgets import Explorer
+from tras.explorer.further import FURTHER
+from tras.explorer.widgets import STALE, Explorer
 from tras.paper import readings
 from tras.workflow import parameters
 
@@ -194,13 +195,25 @@ def test_the_range_changes_the_numbers_and_not_the_predictions(small):
     assert (other.metrics["nrmse"][:4] > 1.5 * small.metrics["nrmse"][:4]).all()
 
 
+@pytest.mark.parametrize("example", [SMALL, SMALL.replaced(dictionary="mechanical", size=8)], ids=["few", "many"])
+def test_no_title_lies_on_a_label_of_the_panel_above(example):
+    outcome = explore.explore(example)
+    figure = figures.outcome_figure(outcome.overlay, outcome.growth, outcome.spectrum)
+    renderer, texts = visible_texts(figure)
+    titles = [axes.title for axes in figure.axes] + [axes._left_title for axes in figure.axes]
+    boxes = {id(text): text.get_window_extent(renderer) for text in texts}
+    for title in (text for text in titles if id(text) in boxes):
+        over = [t.get_text() for t in texts if t is not title and boxes[id(t)].overlaps(boxes[id(title)])]
+        assert not over, (title.get_text(), over)
+
+
 def test_the_picture_shows_truth_models_and_circle(small):
     figure = figures.outcome_figure(small.overlay, small.growth, small.spectrum)
     yaw, error, pitch, plane = figure.axes
     assert [len(panel.lines) for panel in (yaw, pitch, error, plane)] == [3, 3, 4, 3]
     assert len({str(line.get_linestyle()) for line in yaw.lines}) == 3
     np.testing.assert_allclose(np.hypot(*plane.lines[0].get_data()), 1)
-    assert figures.png(figure)[:4] == b"\x89PNG"
+    assert plotting.png(figure)[:4] == b"\x89PNG"
 
 
 # --- parameter files ---
@@ -292,14 +305,18 @@ def test_a_control_changes_picture_numbers_and_message(panel):
     assert words(panel.message).startswith("N = 9 functions, 5000 snapshot pairs")
 
 
-def test_a_wrong_choice_leaves_the_picture_and_says_why(panel):
+def test_a_wrong_choice_greys_the_picture_out_and_says_why(panel):
     panel.set(SMALL)
     before = panel.picture.value, panel.table.value, panel.outcome
     panel.controls["duration"].value = 20.0
     assert "cannot be simulated" in words(panel.message)
     assert (panel.picture.value, panel.table.value, panel.outcome) == before
+    assert STALE in panel.result._dom_classes
+    assert all(button.disabled for button in panel.further.values())
     panel.controls["duration"].value = 60.0
     assert words(panel.message).startswith("N = 9")
+    assert STALE not in panel.result._dom_classes
+    assert not any(button.disabled for button in panel.further.values())
 
 
 def test_the_size_follows_the_dictionary_and_what_has_no_effect_is_grey(panel, monkeypatch):
@@ -339,9 +356,37 @@ def test_sliders_act_when_they_are_let_go(panel):
     assert len(sliders) >= 7 and not any(slider.continuous_update for slider in sliders)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("label", FURTHER)
+def test_more_about_the_model_is_shown_on_demand_and_goes_with_the_choice(panel, label):
+    panel.set(SMALL)
+    panel.further[label].click()
+    (widget,) = panel.extra.children
+    pictures = [each.value for each in (widget, *getattr(widget, "children", ())) if hasattr(each, "format")]
+    if label == "the model in words":
+        assert "N = 9 functions" in words(widget)
+    else:
+        assert [picture[:4] for picture in pictures] == [b"GIF8" if "motion" in label else b"\x89PNG"]
+    panel.controls["seed"].value = 2
+    assert panel.extra.children == ()
+    panel.controls["seed"].value = 1
+
+
+def test_what_cannot_be_shown_says_why(panel, monkeypatch):
+    def blind(_):
+        raise ValueError("there is no <field>")
+
+    panel.set(SMALL)
+    monkeypatch.setitem(FURTHER, "the vector field", blind)
+    panel.further["the vector field"].click()
+    assert [words(widget) for widget in panel.extra.children] == ["there is no &lt;field&gt;"]
+
+
 def test_the_button_writes_the_choice(panel):
     panel.set(SMALL)
+    assert panel.button.description == "save as params/mine.yaml"
     panel.name.value = "paper"
+    assert panel.button.description == "save as params/paper.yaml"
     panel.button.click()
     assert "choose another name" in words(panel.answer)
     panel.name.value = "own-1"
@@ -354,11 +399,10 @@ def test_the_button_writes_the_choice(panel):
 def test_the_notebook_runs_from_its_own_folder(monkeypatch):
     """Its cells one after the other, without a kernel; test_browser.py does it in JupyterLab."""
     monkeypatch.chdir(ROOT / "notebooks")
-    cells = [cell for cell in json.loads(Path("explore.ipynb").read_text())["cells"] if cell["cell_type"] == "code"]
-    movie = SimpleNamespace(to_jshtml=lambda **_: "<div>")  # tests/paper/figures/test_animation.py has a real one
-    monkeypatch.setattr("tras.paper.figures.animation.movie", lambda *_, **__: movie)
+    cells = json.loads(Path("explore.ipynb").read_text())["cells"]
+    assert "Explorer()" in "".join(cells[-1]["source"])  # *Run All* leaves the reader at the panel
     names = {}
     for cell in cells:
-        exec("".join(cell["source"]), names)
+        if cell["cell_type"] == "code":
+            exec("".join(cell["source"]), names)
     assert names["explorer"].choice == Choice()
-    assert list(dict.fromkeys(names["table"]["model"])) == ["true", "Gaussian RBF", "mechanical"]

@@ -6,7 +6,6 @@ import pytest
 from sklearn.base import clone
 
 import tras
-from tras import plotting
 from tras.paper import comparison, pages, tables
 from tras.paper.figures import comparison as figures_comparison
 
@@ -148,24 +147,69 @@ def test_a_method_that_cannot_be_fitted_says_why(study, recordings, monkeypatch)
 
 @pytest.mark.slow
 def test_figures_hold_every_method(results):
+    """One row per method, and a point (or, off the scale, a word) for each that has an error."""
     horizon = figures_comparison.horizon_table(results["scores"])
-    amount = figures_comparison.data_table(results["data"])
+    amount = figures_comparison.data_table(results["data"]).query("input == 'torque'")
     window = horizon[horizon["horizon"] == 1.0]
-    for draw, table in (
-        (figures_comparison.horizon_figure, horizon),
-        (figures_comparison.data_figure, amount),
-        (figures_comparison.pareto_figure, window),
-    ):
+    cases = [(figures_comparison.window_figure, window, 1), (figures_comparison.data_figure, amount, 2)]
+    for draw, table, angles in cases:  # angles in a panel: there a word stands for both
         figure = draw(table)
-        for panel in figure.axes:
-            names = [text.get_text().split(" (")[0] for text in panel.texts]
-            assert set(names) == (set(FEW) if "reference" not in panel.get_title(loc="left") else set(FEW[:2]))
-    styles = figures_comparison.STYLES.values()
-    assert len(set(styles)) == len(comparison.METHODS) == len({style[0] for style in styles})
+        assert {text.get_text() for text in figure.axes[0].get_yticklabels()} == set(FEW)
+        lines = [line for panel in figure.axes for line in panel.lines if line.get_marker() != "None"]
+        drawn = sum(len(line.get_xdata()) for line in lines)
+        words = sum(len(panel.texts) for panel in figure.axes)
+        assert drawn + angles * words == len(table)
+    panels = figures_comparison.horizon_figure(horizon).axes
+    shown = {line.get_label() for panel in panels for line in panel.lines if not line.get_label().startswith("_")}
+    assert len(panels) == 4 and shown == set(FEW[:2])
+
+
+def a_table(**changed):
+    """Three methods over one window: by torques the first is the best."""
+    rows = [
+        {"method": name, "input": channel, "angle": angle, "nrmse": error, "diverged": 0}
+        for channel in ("reference", "torque")
+        for angle in ("yaw", "pitch")
+        for name, error in {"A": 0.5, "DMDc": 2.0, "B": 1.0}.items()
+    ]
+    return pd.DataFrame(rows).assign(**changed)
+
+
+def test_methods_stand_in_the_order_of_their_errors():
+    panel = figures_comparison.window_figure(a_table()).axes[0]
+    assert [text.get_text() for text in panel.get_yticklabels()] == ["A", "B", "DMDc"]
+    assert panel.get_ylim()[0] > panel.get_ylim()[1]  # the first one is on top
+
+
+def test_a_point_is_hollow_where_windows_were_lost_and_a_word_where_none_is_left():
+    table = a_table()
+    table.loc[(table["method"] == "B") & (table["input"] == "torque"), "diverged"] = 3
+    table.loc[(table["method"] == "A") & (table["input"] == "torque"), "nrmse"] = np.nan
+    figure = figures_comparison.window_figure(table)
+    yaw = figure.axes[2]
+    points = [line for line in yaw.lines if line.get_marker() != "None" and len(line.get_xdata())]
+    hollow = [line for line in points if line.get_markerfacecolor() == "white"]
+    assert [list(line.get_xdata()) for line in hollow] == [[1.0]] and len(points) == 2
+    assert [text.get_text() for text in yaw.texts] == ["all lost"]
+    assert "hollow" in figure.get_supxlabel()
+    assert "hollow" not in figures_comparison.window_figure(a_table()).get_supxlabel()
+
+
+def test_an_error_off_the_scale_is_said_in_words():
+    table = a_table()
+    table.loc[table["method"] == "A", "nrmse"] = 2e-9
+    panel = figures_comparison.window_figure(table).axes[0]
+    assert [text.get_text() for text in panel.texts] == ["\N{LEFTWARDS ARROW} 2e-9"] and panel.get_xlim()[0] > 0.1
+
+
+def test_without_the_linear_model_there_is_nothing_to_relate_to():
+    table = a_table(horizon=1.0)
+    with pytest.raises(ValueError, match="table has no method 'DMDc'"):
+        figures_comparison.horizon_figure(table[table["method"] != "DMDc"])
 
 
 @pytest.mark.parametrize(
-    "draw", [figures_comparison.horizon_figure, figures_comparison.data_figure, figures_comparison.pareto_figure]
+    "draw", [figures_comparison.horizon_figure, figures_comparison.data_figure, figures_comparison.window_figure]
 )
 def test_a_table_without_its_columns_is_refused(draw):
     with pytest.raises(ValueError, match="table lacks the columns"):
@@ -204,5 +248,4 @@ def test_lost_predictions_stand_in_the_table():
 
 @pytest.mark.slow
 def test_as_many_windows_as_metrics_count(results):
-    assert plotting.WIDTH < figures_comparison.WIDE
     assert (results["scores"]["diverged"] <= results["scores"]["windows"]).all()

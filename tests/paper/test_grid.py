@@ -1,5 +1,6 @@
 """The grid of readings computes what the public names compute, once, and hides no failure."""
 
+import itertools
 import json
 import math
 
@@ -16,13 +17,13 @@ SMALL = grid.Study(
     train_seeds=(1,), validation_seeds=(2, 3), centre_draws=(0, 1),
 )  # fmt: skip
 PART = {
-    "frequency_unit": ["rad/s"], "velocity_term": ["corrected"], "input": ["torque"],
+    "frequency_unit": ["rad/s"], "velocity_term": ["corrected"], "start": ["on_reference"], "input": ["torque"],
     "state": ["four_states", "delayed_angles"], "dictionary": ["gaussian", "linear"],
 }  # fmt: skip
 
 
 def run(folder, only=PART, study=SMALL):
-    return grid.run(study, folder, only=only, processes=1)
+    return grid.run(study, grid.points(study, only), folder, processes=1)
 
 
 @pytest.fixture(scope="module")
@@ -76,13 +77,82 @@ def test_a_point_is_what_the_public_names_give(computed, reading, draw):
             assert rows.loc[angle, name] == expected.loc[angle, name]
 
 
+def a_simulation(**choices):
+    return grid.simulate(SMALL, readings.Readings(**choices).model_dump(), 1)
+
+
 def test_other_plant_and_unit_reach_the_simulation():
-    ours, printed = (grid.simulate(SMALL, "Hz", term, 1) for term in ("corrected", "as_printed"))
+    ours, printed = (a_simulation(frequency_unit="Hz", velocity_term=term) for term in ("corrected", "as_printed"))
     reference = ours.select(inputs=["phi_ref"]).inputs[0, :, 0]
     spectrum = np.abs(np.fft.rfft(reference[:-1]))
     assert np.flatnonzero(spectrum > 1e-6 * spectrum.max()).max() == math.floor(0.6 * 30)  # 0.6 Hz
     assert printed.attributes["plant_velocity_term"] == "as_printed"
     assert np.abs(printed.states - ours.states).max() > 0.01
+
+
+def test_the_start_is_that_of_the_reading():
+    plant = tras.PlantParameters()
+    on, hanging, zero = (a_simulation(start=start) for start in readings.choices("start"))
+    assert np.array_equal(on.states[0, 0, ::2], on.select(inputs=["phi_ref", "psi_ref"]).inputs[0, 0])
+    assert np.array_equal(hanging.states[0, 0], tras.rest_point(plant)) and not zero.states[0, 0].any()
+    phi_limits = tras.PID.defaults(plant)[0]
+    for recording in (hanging, zero):  # empty integrators: the first torque is proportional to the first error
+        error = recording.select(inputs=["phi_ref"]).inputs[0, 0, 0] - recording.states[0, 0, 0]
+        expected = np.clip(phi_limits.P * error, *phi_limits.limits)
+        assert recording.select(inputs=["u_phi"]).inputs[0, 0, 0] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("gains, frequency, damping", [
+    ("default", 4.0, 0.9), ("half_frequency", 2.0, 0.9), ("twice_frequency", 8.0, 0.9), ("less_damping", 4.0, 0.5),
+])  # fmt: skip
+def test_the_gains_are_those_of_the_reading(gains, frequency, damping):
+    J = tras.PlantParameters().J_phi
+    attributes = a_simulation(gains=gains).attributes
+    assert attributes["pid_phi_P"] == pytest.approx(J * frequency**2)
+    assert attributes["pid_phi_D"] == pytest.approx(2 * damping * frequency * J)
+
+
+def test_every_plant_differs_in_one_parameter_as_its_name_says():
+    usual = tras.PlantParameters().as_dict()
+    assert grid.rig({"velocity_term": "corrected", "plant": "TRAS-A"}).as_dict() == usual
+    for choice in readings.choices("plant")[1:]:
+        name, _, word = choice.rpartition("_")
+        factor = {"half": 0.5, "double": 2, "zero": 0, "less": 0.8, "more": 1.2}[word]
+        other = grid.rig({"velocity_term": "corrected", "plant": choice}).as_dict()
+        assert other == {**usual, name: pytest.approx(usual[name] * factor)}
+    assert a_simulation(plant="G_c_more").attributes["plant_G_c"] == pytest.approx(1.2 * usual["G_c"])
+
+
+def test_gains_and_plants_are_varied_one_at_a_time():
+    bases = [readings.Readings(), readings.Readings(), readings.Readings(input="torque", dictionary="linear")]
+    cases = grid.neighbours(SMALL, bases)
+    singles = (len(readings.choices("gains")) - 1) + (len(readings.choices("plant")) - 1)
+    assert len(cases) == singles * (2 + 1)  # two draws of the Gaussians, one of the linear model; a base counts once
+    usual = readings.Readings().model_dump()
+    for case in cases:
+        assert sum(case[option] != usual[option] for option in readings.SINGLE) == 1
+    assert {case["input"] for case in cases} == {"reference", "torque"}
+
+
+def test_the_start_is_left_out_of_the_fit_and_of_the_judgement(tmp_path):
+    only = PART | {"state": ["four_states"], "dictionary": ["linear"], "start": ["hanging"]}
+    cases = grid.points(SMALL, only)
+    table = grid.transient(SMALL, cases, 8.0, tmp_path, processes=1)
+    assert len(table) == 2 * 2 * 2 * 2  # parts fitted, parts judged, validation seeds, angles
+    table = table[table["validation_seed"] == 3].set_index(["fit_from", "judged_from", "angle"])["nrmse"]
+    reading = readings.Readings(start="hanging").model_dump()
+    train, judged = (grid.simulate(SMALL, reading, seed).select(inputs=["u_phi", "u_psi"]) for seed in (1, 3))
+    for fit_from, judged_from in itertools.product((0.0, 8.0), repeat=2):
+        parts = [
+            recording.with_data([recording.states[0, k:]], [recording.inputs[0, k:]])
+            for recording, k in ((train, round(fit_from / 0.01)), (judged, round(judged_from / 0.01)))
+        ]
+        model = tras.KoopmanModel(tras.Monomials(1), **readings.PAPER_FIT).fit(parts[0].cut(201).split(0.8, 0)[0])
+        for row in validation.score(model, {"": parts[1]}, 4.0).itertuples():
+            assert table[fit_from, judged_from, row.angle] == pytest.approx(row.nrmse, rel=1e-9)
+    for skip in (0.0, 27.0, 40.0):
+        with pytest.raises(ValueError, match="skip is"):
+            grid.transient(SMALL, cases, skip, tmp_path)
 
 
 def test_counts_add_up(computed):
@@ -228,7 +298,7 @@ def test_options_that_make_no_fit_are_refused():
 
 def test_the_whole_grid_has_every_combination_once():
     points = grid.points(grid.Study())
-    assert len(points) == 2 * 2 * 2 * 2 * (3 + 3 + 4) * 3 == len({json.dumps(point) for point in points})
+    assert len(points) == 2 * 2 * 2 * 2 * 3 * (3 + 3 + 4) * 3 == len({json.dumps(point) for point in points})
     states, inputs = np.zeros((5, 4)), np.zeros((5, 2))
     counts = [len(grid.dictionary(name).fit(states, inputs).names) for name in readings.choices("dictionary")]
     assert counts == [9, 35, 28, 84, 19, 7]

@@ -16,7 +16,8 @@ def test_the_defaults_are_the_first_choices():
     assert Readings().model_dump() == {option: next(iter(meanings)) for option, (_, meanings) in OPTIONS.items()}
     assert Readings().model_dump() == {
         "input": "reference", "frequency_unit": "rad/s", "dictionary": "gaussian", "state": "four_states",
-        "horizon": "window", "nrmse_range": "validation_set", "velocity_term": "corrected", "angle_names": "words",
+        "horizon": "window", "nrmse_range": "validation_set", "velocity_term": "corrected", "start": "on_reference",
+        "gains": "default", "plant": "TRAS-A", "angle_names": "words",
     }  # fmt: skip
 
 

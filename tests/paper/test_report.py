@@ -72,6 +72,11 @@ def study_tables(root, rng):
     options = "input frequency_unit dictionary state horizon nrmse_range velocity_term angle_names"
     rows = [(*["x"] * 7, names, 4.0, 5.0, 0.123) for names in ("words", "symbols")]
     write(figures / "readings_nearest.csv", f"{options} yaw pitch distance", rows)
+    cases = list(itertools.product(("DMDc", "Koopman, the paper's"), ("reference", "torque"), ("yaw", "pitch")))
+    rows = [(*case, 6, 1 + i / 8) for i, case in enumerate(cases)]
+    write(figures / "comparison_pareto.csv", "method input angle horizon nrmse", rows)
+    rows = [("true", "pitch", 0), ("Gaussian RBF", "pitch", 0.25), ("Gaussian RBF", "pitch", 0.75)]
+    write(figures / "portrait.csv", "model plane error", rows)
 
 
 def claim_rows():
@@ -254,6 +259,13 @@ def test_summaries_of_studies(whole, tree):
     assert "0.75 %, with noise of 1 % 2 %" in text_of(after(tree, "the-rigs-parameters", "p"))
     assert "without noise 25% of the stretches" in text_of(after(tree, "length-of-the-data", "p"))
     assert cells(after(tree, "eigenpairs", "table"))[1] == ["linear", "2", "1", "0.25"]
+    methods = cells(after(tree, "other-methods", "table"))
+    assert methods[0] == ["method", "angle", "reference", "torque"] and methods[1] == ["DMDc", "yaw", "1", "1.25"]
+    said = text_of(after(tree, "other-methods", "p"))
+    assert "input DMDc has the smallest error in yaw and DMDc in pitch, with the references DMDc and" in said
+    assert "Over 6 s the paper's" in said
+    assert "1.75 / 1.88 % (yaw / pitch, torques), the linear DMDc 1.25 / 1.38 %" in said
+    assert cells(after(tree, "one-model-seen", "table"))[1:] == [["pitch", "Gaussian RBF", "0.5", "0.75"]]
     nearest = cells(after(tree, "the-readings-nearest-to-the-paper", "table"))[1]
     assert nearest[-4:] == ["words", "4.00", "5.00", "0.123"]
 
@@ -384,6 +396,12 @@ LOOKUPS = [
     ('value("data/x.csv", "count(v)", n=">1")', "2"),
     ('value("data/x.csv", "k", n=3)', "b"),
     ('value("data/x.csv", "e", n=1)', "–"),
+    ('value("data/x.csv", "max(v)", n="<3")', "2.5"),
+    ('value("data/x.csv", "sum(v)", n=[1, 3])', "5.5"),
+    ('value("data/x.csv", "count(v)", t=["one", "none"])', "1"),
+    ('value("data/x.csv", "t at min(s)")', "two words"),
+    ('value("data/x.csv", "n at max(v)", k="b") | number("d")', "3"),
+    ('(value("data/x.csv", "max(v)") / value("data/x.csv", "min(s)", n=2)) | number(".2f")', "-1.33"),
     ('parameter("01_stage", "duration") | number("g")', "500"),
     ('claims.HIGH_BFR | number("g")', "90"),
 ]
@@ -394,6 +412,8 @@ REFUSED = [
     ('value("data/x.csv", "v", w=1)', Lacking, "no column `w`"),
     ('value("data/y.csv", "v")', Lacking, "data/y.csv is not there: `make all` makes it"),
     ('parameter("01_stage", "durration")', Lacking, "01_stage has no parameter `durration`"),
+    ('value("data/x.csv", "k at min(e)")', Lacking, "data/x.csv has 3 rows for one number, `k at min(e)`"),
+    ('1 / value("data/x.csv", "count(e)")', ValueError, "a lookup is not understood (division by zero)"),
     ("nonsense", ValueError, "a lookup is not understood ('nonsense' is undefined)"),
     ("claims.HIGH_BFT", ValueError, "no attribute 'HIGH_BFT'"),
     ("value(", ValueError, "a lookup is not understood"),
@@ -414,14 +434,36 @@ def small(tmp_path):
 
 @pytest.mark.parametrize("text, expected", LOOKUPS)
 def test_lookups(small, text, expected):
-    assert lookups.render(f"a {{{{ {text} }}}} b\n", small) == f"a {expected} b\n"
+    assert lookups.render(f"a {{{{ {text} }}}} b\n", small, claims=report._LIMITS) == f"a {expected} b\n"
 
 
 @pytest.mark.parametrize("text, error, message", REFUSED)
 def test_lookups_that_find_nothing(small, text, error, message):
     with pytest.raises(error) as caught:
-        lookups.render(f"{{{{ {text} }}}}", small)
+        lookups.render(f"{{{{ {text} }}}}", small, claims=report._LIMITS)
     assert message in str(caught.value)
+
+
+CONCLUSIONS = """
+* **Larger.** {% if x("max(v)") > limit %}It is {{ x("max(v)") }}{% else %}It is not{% endif %},
+  over {{ x("count(v)") | number("d") }} rows.
+* Both: {{ angles.pair("e", spec=".1f") }} %.
+* Lacking: {{ x("v", k="c") }}.
+"""
+
+
+def test_conclusions_follow_the_tables(small):
+    write(small.data / "angles.csv", "angle e", [("yaw", 1), ("pitch", 0.25)])
+    tables = {"x": "data/x.csv", "angles": "data/angles.csv"}
+    first, *rest = lookups.conclusions(CONCLUSIONS, small, tables, limit=3).splitlines()
+    assert first == "* **Larger.** It is 4, over 3 rows."
+    assert rest == [
+        "* Both: 1.0 / 0.2 %.",
+        "* *Nothing to conclude here:* data/x.csv has 0 rows for one number, `v`: was it made with other parameters?",
+    ]
+    assert lookups.conclusions(CONCLUSIONS, small, tables, limit=4).startswith("* **Larger.** It is not, over")
+    with pytest.raises(ValueError, match="'limit' is undefined"):
+        lookups.conclusions(CONCLUSIONS, small, tables)
 
 
 def test_large_drawings_are_shown_as_png(tmp_path):

@@ -118,6 +118,14 @@ def test_overlay_starts_at_the_truth(experiment):
     assert np.allclose(table.iloc[0][["psi_linear", "phi_linear"]], table.iloc[0][["psi_true", "phi_true"]])
 
 
+def test_an_overlay_knows_the_range_of_the_whole_recording(experiment):
+    window, states = experiment.cut(201)[3], np.concatenate(list(experiment.states))
+    table = validation.overlay(window, {}, experiment)
+    for name, column in (("phi", 0), ("psi", 2)):
+        assert set(table[f"{name}_low"]) == {states[:, column].min()}
+        assert set(table[f"{name}_high"]) == {states[:, column].max()}
+
+
 def a_table():
     rows = []
     sources = [source for source in tables.COLUMNS if source[0] != "paper"]
@@ -159,7 +167,10 @@ def test_rendering_shows_paper_range_condition_and_divergence(tmp_path, capsys):
     assert pages.main([*call, "--check"]) == 0
     assert "holds another table" in capsys.readouterr().out
     pages.main([*call, "--write"])
-    assert readme.read_text() == f"before\n{begin}\n{text}\n{end}\nafter\n"
+    first = tables.first_markdown(tables.read(tmp_path / "table.csv"))
+    assert readme.read_text() == f"before\n{begin}\n{first}\n{end}\nafter\n"
+    kept = [line for line in text.split("\n") if line.startswith(("|  |", "| ---", "| NRMSE", "| BFR"))]
+    assert first.split("\n") == [line for line in kept if "yaw, 500 s" not in line] and len(first.split("\n")) == 2 + 5
     pages.main([*call, "--check"])
     assert "holds another table" not in capsys.readouterr().out
 
@@ -177,4 +188,4 @@ def test_missing_files_and_markers_are_named(tmp_path, capsys):
 def test_the_readme_holds_the_committed_table():
     """`make readme` wrote it from figures/table.csv, which `make all` makes: no number in it was typed."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert tables.markdown(tables.read(ROOT / "figures" / "table.csv")) in readme
+    assert tables.first_markdown(tables.read(ROOT / "figures" / "table.csv")) in readme

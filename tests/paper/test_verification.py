@@ -1,6 +1,7 @@
 """Verification: what counts as the same, what as a difference, and what is said about it."""
 
 import hashlib
+import lzma
 import re
 import shutil
 import subprocess
@@ -104,11 +105,13 @@ def nudged(values, row, by):
     return values
 
 
-def verdicts(capsys, paths=FILES):
-    """Exit status, and for each artefact the line about it."""
+def verdicts(capsys, paths=FILES, *, whole=False):
+    """Exit status, and for each artefact the line about it; if they are the whole, all of them but one in --paper."""
     capsys.readouterr()
-    status = verification.main(list(map(str, paths)))
+    paths = list(map(str, paths))
+    status = verification.main(["--paper", *paths[:-1], "--studies", paths[-1]] if whole else paths)
     lines = capsys.readouterr().out.splitlines()
+    lines = lines[lines.index("") + 1 :] if whole else lines
     return status, {line[15:].split()[0]: line for line in lines[: lines.index("")]}
 
 
@@ -143,7 +146,7 @@ CHANGES = {
             lambda: edit("1.5", "1.50001"),
             r"DIFFERS .*\(value, row 1: 1.50001 for 1.5, .* times what is allowed",
         ),
-        "small beside the column's largest": (lambda: edit("-2e-05", "-2.000005e-05"), "numbers agree"),
+        "small beside the column's largest": (lambda: edit("-2e-05", "-2.0001e-05"), "DIFFERS .*value, row 3"),
         "the sign": (lambda: edit("-2e-05", "2e-05"), "DIFFERS .*value, row 3: 2e-05 for -2e-05"),
         "a whole number by one": (lambda: edit("4", "5"), r"DIFFERS .*\(count, row 2: 5 for 4\)"),
         "text": (lambda: edit("second", "Second"), "DIFFERS .*name, row 2: Second for second"),
@@ -157,7 +160,7 @@ CHANGES = {
     "data/long.csv": {
         "inside": (lambda: write_long(nudged(LONG, 0, 1e-10)), "numbers agree .*a, row 1"),
         "outside": (lambda: write_long(nudged(LONG, 4999, 1e-4)), "DIFFERS .*a, row 5000"),
-        "everywhere": (lambda: write_long(LONG * [1, 1.001, 1]), "DIFFERS .*b, row .* and 2.. more in this column"),
+        "everywhere": (lambda: write_long(LONG * [1, 1.001, 1]), "DIFFERS .*b, row .* and 4999 more in this column"),
         "a row less": (lambda: write_long(LONG[:-1]), "DIFFERS .*a has 4999 rows, the reference 5000"),
     },
     "data/run.nc": {
@@ -219,8 +222,11 @@ def test_one_change(project, name, what, capsys):
 COPY = Path("reference/data/table.csv")
 LOST = {
     "no copy": (COPY.unlink, r"MISSING .*lost reference/data/table.csv: git checkout"),
-    "a damaged copy": (lambda: COPY.write_text('"'), r"UNREADABLE .*reference/data/table.csv cannot be read"),
-    "a copy cut short": (lambda: COPY.write_text(TABLE[:29]), r"DIFFERS .*name has 3 rows, the reference 1"),
+    "a damaged copy": (lambda: COPY.write_text('"'), r"UNREADABLE .*reference/data/table.csv is not what .*SHA256SUMS"),
+    "a digit changed in the copy": (
+        lambda: change(COPY, "1.5", "1.5000000001"),
+        r"UNREADABLE .*reference/data/table.csv is not what reference/SHA256SUMS names: git checkout",
+    ),
     "no line in the manifest": (
         lambda: change("reference/SHA256SUMS", "data/table.csv", "data/other.csv"),
         "MISSING .*reference has no reference for it",
@@ -279,14 +285,16 @@ def test_git_has_the_figures_that_the_reference_names():
     names = set(tree.stdout.split())
     sums = {name: hashlib.sha256(content(name)).hexdigest() for name in names if name.startswith("figures/")}
     manifest = content("reference/SHA256SUMS").decode().splitlines()
-    expected = dict(reversed(line.split("  ")) for line in manifest if "figures/" in line)
+    expected = dict(reversed(line.split("  ")) for line in manifest if "  figures/" in line)
     assert sums == {name: value for name, value in expected.items() if not name.endswith(artefacts.DRAWINGS)}
     assert not [name for name in names if name.startswith("reference/figures")]
 
 
 def test_what_make_no_longer_builds_and_what_has_no_reference(project, capsys):
-    status, lines = verdicts(capsys, FILES[1:])
+    status, lines = verdicts(capsys, FILES[1:], whole=True)
     assert status == 1 and re.match("MISSING .*no longer builds it", lines["data/table.csv"])
+    status, lines = verdicts(capsys, FILES[1:2])
+    assert status == 0 and list(lines) == ["data/long.csv"]
     Path("data/new.csv").write_text(TABLE)
     status, lines = verdicts(capsys, [*FILES, "data/new.csv"])
     assert status == 1 and "has no reference for it: make bless" in lines["data/new.csv"]
@@ -311,7 +319,7 @@ def test_bless_replaces_what_changed_and_removes_what_went(project, capsys):
     capsys.readouterr()
     assert verification.main(["--bless", *map(str, FILES[:2])]) == 0
     assert "7 new or changed: data/model.npz, data/run.nc, data/table.csv" in capsys.readouterr().out
-    assert sorted(path.name for path in Path("reference").rglob("*.*")) == ["README.md", "long.csv", "table.csv"]
+    assert sorted(path.name for path in Path("reference").rglob("*.*")) == ["README.md", "long.csv.xz", "table.csv"]
     assert verdicts(capsys, FILES[:2])[0] == 0
 
 
@@ -330,9 +338,16 @@ def test_two_blesses_write_the_same_bytes(project):
     assert before == {path: path.read_bytes() for path in Path("reference").rglob("*") if path.is_file()}
 
 
-def test_long_copies_are_thinned_and_keep_both_ends(project):
-    rows = artefacts.read_copy(Path("reference/data/long.csv"))["a"][0]
-    assert len(rows) == artefacts.ROWS and rows[0] == 0 and rows[-1] == 4999
+def test_long_tables_are_compressed_and_whole(project):
+    packed = Path("reference/data/long.csv.xz")
+    assert lzma.decompress(packed.read_bytes()) == Path("data/long.csv").read_bytes()
+    rows, values = artefacts.read_copy(packed)["a"]
+    assert rows is None and np.allclose(values, LONG[:, 0], rtol=1e-11)
+    artefacts.write_packed(Path("reference/data/long.csv"), b"short")
+    assert not packed.exists() and Path("reference/data/long.csv").read_bytes() == b"short"
+
+
+def test_copies_of_models_are_thinned_and_keep_both_ends(project):
     arrays = artefacts.read_copy(Path("reference/data/model.npz.csv"))
     assert len(arrays["K"][0]) == artefacts.ROWS and arrays["K"][0][-1] == 399 and arrays["noise"][0] == [0, 1]
 

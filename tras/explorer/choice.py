@@ -37,7 +37,7 @@ OPTIONS = {name: readings.OPTIONS[name][1] for name in SHARED} | {
     "predictor": {
         "vector_field": "integrate F, as the paper does",
         "one_step": "apply K and lift again at each sample",
-        "lifted_linear": "lift once, then z+ = A z + B u",
+        "lifted_linear": "lift once, then one matrix from sample to sample",
     },
     "field": {
         "least_squares": "F by equation (18), as the paper does",

@@ -18,7 +18,7 @@ from tras.explorer.choice import Choice, ChoiceError
 from tras.identification.noise import add_noise
 from tras.model import KoopmanModel
 from tras.paper import grid, validation
-from tras.paper.readings import PAPER_NRMSE
+from tras.paper.readings import PAPER_NRMSE, Readings
 from tras.recording import Recording
 from tras.twin_rotor.closed_loop import INPUTS
 
@@ -129,7 +129,7 @@ def recording(frequency_unit: str, duration: float, sampling_time: float, seed: 
     _samples("duration", duration, sampling_time)
     study = grid.Study(duration=duration, sampling_time=sampling_time)
     try:
-        return grid.simulate(study, frequency_unit, "corrected", seed)
+        return grid.simulate(study, Readings(frequency_unit=frequency_unit).model_dump(), seed)
     except ValueError as error:
         raise ChoiceError(f"This experiment cannot be simulated: {error}") from error
 

@@ -1,15 +1,16 @@
 """Pictures of one model: those of the explorer, and the vector field beside the true one. See `tras.plotting`."""
 
-import io
-
 import numpy as np
 import pandas as pd
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
 
 from tras.plotting import LINEAR, MODEL, TRUTH, new_figure, require, styled
 
+BOX_COLOUR = "#0072B2"
 _ANGLES = {"pitch": "phi", "yaw": "psi"}
 _ROLES = {"koopman": MODEL | {"label": "Koopman"}, "linear": LINEAR | {"label": "linear model"}}
 
@@ -38,7 +39,7 @@ def outcome_figure(overlay: pd.DataFrame, growth: pd.DataFrame, spectrum: pd.Dat
     require(growth, "growth", ["model", "angle", "time", "nrmse"])
     require(spectrum, "spectrum", ["model", "real", "imag"])
     figure = Figure(figsize=(7.2, 3.9))
-    layout = {"left": 0.08, "right": 0.985, "bottom": 0.115, "top": 0.9, "hspace": 0.48, "wspace": 0.24}
+    layout = {"left": 0.08, "right": 0.985, "bottom": 0.115, "top": 0.9, "hspace": 0.54, "wspace": 0.24}
     (yaw, error), (pitch, plane) = figure.subplots(2, 2, gridspec_kw=layout)  # to compute it takes longer than the fit
     _overlay_panel(yaw, overlay, "psi", r"yaw $\psi$ (rad)")
     _overlay_panel(pitch, overlay, "phi", r"pitch $\phi$ (rad)")
@@ -46,15 +47,6 @@ def outcome_figure(overlay: pd.DataFrame, growth: pd.DataFrame, spectrum: pd.Dat
     _spectrum_panel(plane, spectrum)
     figure.legend(*yaw.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(0.07, 0.995), ncols=3)
     return figure
-
-
-@styled()
-def png(figure: Figure, dpi: float = 130) -> bytes:
-    """A figure as the bytes of a PNG, for a notebook or a widget."""
-    target = io.BytesIO()
-    FigureCanvasAgg(figure)
-    figure.savefig(target, format="png", dpi=dpi, metadata={"Software": None})
-    return target.getvalue()
 
 
 def _overlay_panel(panel, overlay, angle, label):
@@ -93,6 +85,9 @@ def _spectrum_panel(panel, spectrum):
     reach = max(1.25 * spectrum["imag"].abs().max(), 0.6 * (right - left), 1e-3)
     side = 0.08 * (right - left) + 0.25 * reach
     panel.set(xlabel="real part", ylabel="imaginary part", xlim=(left - side, right + side), ylim=(-reach, reach))
+    for axis in (panel.xaxis, panel.yaxis):  # without a power above the axis, which would push the title upwards
+        axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
+        axis.set_major_formatter("{x:.4g}")
     panel.set_title("eigenvalues of $K$, and the unit circle", fontsize=8.6)
 
 
@@ -100,12 +95,13 @@ def _spectrum_panel(panel, spectrum):
 def portrait_figure(table: pd.DataFrame) -> Figure:
     """The true and the identified vector fields, one row per plane; the colour is the error of the acceleration.
 
-    ``table`` is from `tras.explorer.portraits.portrait`.
+    The dashed box holds the training data. ``table`` is from `tras.explorer.portraits.portrait`.
     """
-    require(table, "table", ["model", "plane", "angle", "rate", "d_angle", "d_rate", "error"])
+    box = ["angle_low", "angle_high", "rate_low", "rate_high"]
+    require(table, "table", ["model", "plane", "angle", "rate", "d_angle", "d_rate", "error", *box])
     names = list(dict.fromkeys(table["model"]))
     labels = {plane: (rf"{plane} $\{angle}$ (rad)", rf"$\dot\{angle}$ (rad/s)") for plane, angle in _ANGLES.items()}
-    figure, axes = new_figure(height=3.5, rows=2, columns=len(names), squeeze=False, sharex="row", sharey="row")
+    figure, axes = new_figure(height=3.8, rows=2, columns=len(names), squeeze=False, sharex="row", sharey="row")
     errors = table["error"][table["model"] != "true"]
     norm = LogNorm(max(errors.quantile(0.02), 1e-6), max(errors.max(), 2e-6)) if len(errors) else None
     mesh = None
@@ -113,6 +109,9 @@ def portrait_figure(table: pd.DataFrame) -> Figure:
         for panel, name in zip(row, names):
             cells = table[(table["model"] == name) & (table["plane"] == plane)]
             mesh = _portrait_panel(panel, cells, norm if name != "true" else None) or mesh
+            left, right, low, high = cells[box].iloc[0]
+            look = {"fill": False, "edgecolor": BOX_COLOUR, "linestyle": (0, (3, 1.5)), "linewidth": 1.2, "zorder": 4}
+            panel.add_patch(Rectangle((left, low), right - left, high - low, **look))
             panel.set_xlabel(across)
         row[0].set_ylabel(up)
     for panel, name in zip(axes[0], names):
@@ -121,6 +120,8 @@ def portrait_figure(table: pd.DataFrame) -> Figure:
         look = {"location": "bottom", "shrink": 0.9, "aspect": 35, "format": "{x:g}"}  # exponents would be illegible
         bar = figure.colorbar(mesh, ax=axes.ravel().tolist(), label="error of the acceleration (rad/s²)", **look)
         bar.ax.minorticks_off()
+    line = {"color": BOX_COLOUR, "linestyle": (0, (3, 1.5)), "linewidth": 1.2}
+    figure.legend(handles=[Line2D([], [], **line, label="box of the training data")], loc="outside upper center")
     return figure
 
 

@@ -1,8 +1,8 @@
 """The identified vector field beside the true one in two planes of the state space, for the phase portraits.
 
-In each plane one angle and its rate vary over the range of the training data; the other states are fixed (`PLANES`) and
-the inputs are zero. With torques the truth is the plant itself, with references the plant and the controller. The
-controller's integrators are no states of the model; they take the values that balance the reference.
+In each plane one angle and its rate vary, beyond the box of the training data too; the other states are fixed
+(`PLANES`) and the inputs are zero. With torques the truth is the plant itself, with references the plant and the
+controller. The controller's integrators are no states of the model; they take the values that balance the reference.
 """
 
 import contextlib
@@ -22,6 +22,8 @@ PLANES = {
     "pitch": ("phi", "phidot", {"psi": 0.0, "psidot": 0.0}),
     "yaw": ("psi", "psidot", {"phi": 0.8, "phidot": 0.0}),  # rad: half the yaw inertia of the level beam
 }
+REACH = 2.0  # rad/s, the rates that are shown to either side of zero, or those of the data if they reach farther
+WIDER = 1.15  # than the data, the angles that are shown
 
 
 def has_field(model: KoopmanModel) -> bool:
@@ -59,8 +61,9 @@ def portrait(models: dict[str, KoopmanModel], *, points: int = 25) -> pd.DataFra
     -------
     pandas.DataFrame
         Columns ``model`` ("true" first), ``plane`` ("pitch" or "yaw"), ``angle`` (rad), ``rate`` (rad/s), their
-        derivatives ``d_angle`` (rad/s) and ``d_rate`` (rad/s^2), and ``error`` (rad/s^2): the absolute difference
-        between the identified and the true ``d_rate``.
+        derivatives ``d_angle`` (rad/s) and ``d_rate`` (rad/s^2), ``error`` (rad/s^2): the absolute difference between
+        the identified and the true ``d_rate``; and the box of the training data, the same in all rows of a plane:
+        ``angle_low, angle_high`` (rad), ``rate_low, rate_high`` (rad/s).
 
     Raises
     ------
@@ -79,7 +82,8 @@ def portrait(models: dict[str, KoopmanModel], *, points: int = 25) -> pd.DataFra
     true = vector_field_of(reference.input_names_)
     parts = []
     for plane, (angle, rate, others) in PLANES.items():
-        x = _grid(reference, angle, rate, others, points)
+        box = {name: _range(reference, channel) for name, channel in (("angle", angle), ("rate", rate))}
+        x = _grid(box, angle, rate, others, points)
         u = np.zeros((len(x), len(reference.input_names_)))
         i, j = STATE_NAMES.index(angle), STATE_NAMES.index(rate)
         truth = true(x, u)
@@ -87,6 +91,8 @@ def portrait(models: dict[str, KoopmanModel], *, points: int = 25) -> pd.DataFra
         for name, field in fields.items():
             columns = {"angle": x[:, i], "rate": x[:, j], "d_angle": field[:, i], "d_rate": field[:, j]}
             columns["error"] = np.abs(field[:, j] - truth[:, j])
+            for axis, (low, high) in box.items():
+                columns |= {f"{axis}_low": low, f"{axis}_high": high}
             parts.append(pd.DataFrame({"model": name, "plane": plane, **columns}))
     return pd.concat(parts, ignore_index=True)
 
@@ -119,10 +125,17 @@ def vector_field_of(input_names: tuple[str, ...], parameters: PlantParameters | 
     return closed
 
 
-def _grid(model, angle, rate, others, points):
-    """States (points^2, 4) over the range of the training data."""
-    indices = map(STATE_NAMES.index, (angle, rate))
-    axes = [model.x_offset_[k] + model.x_scale_[k] * np.linspace(-1, 1, points) for k in indices]
+def _range(model, channel):
+    """Lowest and highest value in the training data."""
+    k = STATE_NAMES.index(channel)
+    return model.x_offset_[k] - model.x_scale_[k], model.x_offset_[k] + model.x_scale_[k]
+
+
+def _grid(box, angle, rate, others, points):
+    """States (points^2, 4) over the box of the training data and beyond it."""
+    (low, high), fastest = box["angle"], max(REACH, *np.abs(box["rate"]))
+    middle, half = (low + high) / 2, WIDER * (high - low) / 2
+    axes = np.linspace(middle - half, middle + half, points), np.linspace(-fastest, fastest, points)
     first, second = (values.ravel() for values in np.meshgrid(*axes))
     columns = {angle: first, rate: second, **{name: np.full(first.shape, value) for name, value in others.items()}}
     return np.stack([columns[name] for name in STATE_NAMES], axis=-1)

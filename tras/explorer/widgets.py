@@ -1,16 +1,19 @@
 """The explorer in Jupyter: a control for every field of a `Choice`, and its outcome, from `tras.explorer.explore`.
 
-A slider acts on release, a menu at once. A choice that gives no model leaves the last picture and says why.
+A slider acts on release, a menu at once. A choice that gives no model greys out the last picture and says why.
 """
 
 import html
 import time
 
 import ipywidgets
+from IPython.display import Javascript, display
 
 from tras.explorer.choice import EXAMPLES, OPTIONS, SIZES, Choice, ChoiceError, write_parameters
 from tras.explorer.explore import explore, numbers
-from tras.explorer.figures import outcome_figure, png
+from tras.explorer.figures import outcome_figure
+from tras.explorer.further import FURTHER
+from tras.plotting import png
 
 _LABELS = {
     "frequency_unit": "frequencies in", "sampling_time": "sampling (s)", "duration": "duration (s)",
@@ -41,10 +44,12 @@ _SLIDERS = {
 }
 _STYLE = {"description_width": "92px"}
 _WIDE = {"width": "300px"}
+STALE = "tras-stale"  # class of what belongs to an earlier choice
+_STYLE_SHEET = f"<style>.{STALE} {{ opacity: 0.35; filter: grayscale(1) }}</style>"
 
 
 class Explorer:
-    """The panel of the explorer; ``display(explorer.view)`` or the last line of a cell shows it.
+    """The panel of the explorer; as the last line of a cell it shows itself and comes into view.
 
     Parameters
     ----------
@@ -69,15 +74,28 @@ class Explorer:
         self.picture = ipywidgets.Image(format="png", layout={"width": "100%"})
         self.table, self.message, self.answer = ipywidgets.HTML(), ipywidgets.HTML(), ipywidgets.HTML()
         self.example = ipywidgets.Dropdown(options=[("an example ...", None), *EXAMPLES.items()], layout=_WIDE)
-        self.name = ipywidgets.Text("mine", description="NAME", style=_STYLE, layout=_WIDE)
-        self.button = ipywidgets.Button(description="write params/NAME.yaml", layout=_WIDE)
+        self.name = ipywidgets.Text("mine", description="name", style=_STYLE, layout=_WIDE)
+        self.button = ipywidgets.Button(layout=_WIDE)
+        self.further = {label: ipywidgets.Button(description=label) for label in FURTHER}
+        more = ipywidgets.HBox(list(self.further.values()), layout={"flex_flow": "row wrap"})
+        self.extra = ipywidgets.VBox()
+        self.result = ipywidgets.VBox([self.picture, self.table, more, self.extra])
         for control in self.controls.values():
             control.observe(self._changed, names="value")
         self.example.observe(self._take_example, names="value")
+        self.name.observe(self._name_button, names="value")
         self.button.on_click(self._write)
+        for button in self.further.values():
+            button.on_click(self._show_further)
         self.view = self._arranged()
         self._fit_size()
+        self._name_button()
         self.redraw()
+
+    def _ipython_display_(self):
+        # *Run All* leaves the page where the code of the last cell is, with the panel out of sight below it.
+        into_view = "setTimeout(() => element.closest('.jp-OutputArea, body').scrollIntoView(), 300)"
+        display(self.view, Javascript(into_view))
 
     @property
     def choice(self) -> Choice:
@@ -105,11 +123,14 @@ class Explorer:
         try:
             outcome = explore(self.choice)
         except ChoiceError as error:
-            stale = "The picture and the numbers are still those of the last choice that gave a model."
+            stale = "The grey picture and numbers are those of the last choice that gave a model."
             self.message.value = _note(f"{error} {stale}", "#b00020")
+            self._mark_stale(True)
             return
         self.picture.value = png(outcome_figure(outcome.overlay, outcome.growth, outcome.spectrum))
         self.table.value = numbers(outcome).to_html(border=0)
+        self.extra.children = ()  # of another choice
+        self._mark_stale(False)
         self.outcome, seconds = outcome, time.perf_counter() - start
         size = f"N = {len(outcome.model.names_)} functions, {outcome.model.pairs_} snapshot pairs"
         facts = f"{size}; fitted, judged and drawn in {seconds:.2f} s."
@@ -150,6 +171,21 @@ class Explorer:
         for name, enabled in effective.items():
             self.controls[name].disabled = not enabled
 
+    def _mark_stale(self, stale):
+        (self.result.add_class if stale else self.result.remove_class)(STALE)
+        for button in self.further.values():
+            button.disabled = stale
+
+    def _show_further(self, button):
+        self.extra.children = [ipywidgets.HTML(_note("A few seconds ..."))]
+        try:
+            self.extra.children = [FURTHER[button.description](self.outcome)]
+        except ValueError as error:
+            self.extra.children = [ipywidgets.HTML(_note(str(error), "#b00020"))]
+
+    def _name_button(self, _=None):
+        self.button.description = f"save as params/{self.name.value}.yaml"
+
     def _write(self, _):
         try:
             path = write_parameters(self.choice, self.name.value, self.folder)
@@ -164,7 +200,7 @@ class Explorer:
         column += [ipywidgets.HTML("<b>Keep it</b>"), self.name, self.button, self.answer]
         left = ipywidgets.VBox(column, layout={"flex": "0 0 310px"})
         wide = {"flex": "1 1 420px", "min_width": "0"}
-        right = ipywidgets.VBox([self.message, self.picture, self.table], layout=wide)
+        right = ipywidgets.VBox([ipywidgets.HTML(_STYLE_SHEET), self.message, self.result], layout=wide)
         return ipywidgets.HBox([left, right])
 
 

@@ -1,6 +1,7 @@
 """From a recording to a model: ``make identify RECORDING=path``, or where the package is installed ``tras identify``.
 
     python -m tras.identification.command log.csv [--out FOLDER] [--roles roles.yaml] [--delays 0,2,4] ...
+    python -m tras.identification.command "run1.csv run2.csv" --test run3.csv
 
 Runs ``identify.ipynb``, which is a link to ``notebooks/`` and a file of the installed package, on the recording and
 writes to ``build/identify/NAME`` below the checkout or else the working folder, NAME being the recording's name:
@@ -9,7 +10,10 @@ prints one sentence, exits with status 2 and leaves the folder as it was.
 """
 
 import argparse
+import csv
+import glob
 import os
+import shlex
 import shutil
 import sys
 import tempfile
@@ -23,15 +27,19 @@ from tras.workflow.runner import Interrupted, RunError, interruptible, run_noteb
 
 # Errors that are a sentence about the recording or the call, not a fault of the program.
 _SENTENCES = ("RecordingError", "ValueError", "LogarithmError", "FileNotFoundError", "MissingExtraError")
+MODULE = "python -m tras.identification.command"  # what make runs
 NOTEBOOK = Path(__file__).with_name("identify.ipynb")
 
 
-def main(arguments: list[str] | None = None, program: str = "python -m tras.identification.command") -> int:
+def main(arguments: list[str] | None = None, program: str = MODULE) -> int:
     """Command line; returns 0, 1 (the run failed), 2 (the recording or the call is wrong), 130 or 143 (interrupted)."""
     options = _parser(program).parse_args(arguments)
     root = working_folder()
-    out = options.out or root / "build" / "identify" / options.recording.stem
     try:
+        typed = {"RECORDING": options.recording, "TEST": options.test}
+        options.recording, options.test = (_files(name, text) for name, text in typed.items())
+        more = f"_and_{len(options.recording) - 1}_more" if len(options.recording) > 1 else ""
+        out = options.out or root / "build" / "identify" / (options.recording[0].stem + more)
         parameters = _parameters(options, out, root)
         with interruptible():
             seconds = _run(out, parameters, root)
@@ -40,7 +48,7 @@ def main(arguments: list[str] | None = None, program: str = "python -m tras.iden
         return 2
     except RunError as error:
         plain = error.name in _SENTENCES
-        print(error.words + _hint(error.words) if plain else error, file=sys.stderr)
+        print(_advised(error.words, options, typed, program) if plain else error, file=sys.stderr)
         return 2 if plain else 1
     except OSError as error:
         print(f"{error.filename}: {error.strerror}" if error.filename else error, file=sys.stderr)
@@ -58,27 +66,55 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"{message}; see {self.prog} --help.\n")
 
 
-def _hint(words):
-    """The options that the sentence asks for."""
-    if "resample=" in words:
-        return " With make: RESAMPLE=, for example RESAMPLE=0.01. With tras: --resample 0.01."
-    if "given as roles" in words:
-        by_make = "With make: ROLES=roles.yaml, or by name: TIME=t STATES=a,b INPUTS=c TRIAL=run."
-        return f"\n{by_make}\nWith tras: --roles roles.yaml, or --time t --states a,b --inputs c --trial run."
-    return ""
+def _advised(words, options, typed, program):
+    """The sentence, with the variables of make that it asks for, and in its command all that was given before."""
+    lines = []
+    for line in words.split("\n"):
+        if line.startswith("  make identify RECORDING="):
+            others = dict(typed, RECORDING="") | dict(_others(options))
+            recording = f"RECORDING={shlex.quote(typed['RECORDING'].replace('$', '$$'))}"
+            line = f"  make identify {recording}{line[line.index(' TIME=') :]}"
+            line += "".join(f" {name}={shlex.quote(text)}" for name, text in others.items() if text)
+            line = line if program == MODULE else _without_make(line, program)
+        lines.append(line)
+    hint = (
+        " With make: RESAMPLE=, for example RESAMPLE=0.01. With tras: --resample 0.01." if "resample=" in words else ""
+    )
+    return "\n".join(lines) + hint
+
+
+def _without_make(line, program):
+    """The line for make as one of ``program``, which takes the same options."""
+    recording, *others = (word.partition("=")[::2] for word in shlex.split(line.replace("$$", "$"))[2:])
+    options = [f"--{name.lower()} {shlex.quote(text)}" for name, text in others]
+    return " ".join([f"  {program}", shlex.quote(recording[1]), *options])
+
+
+def _others(options):
+    """(variable of make, text) of the options that are no roles or files, where they are not the defaults."""
+    defaults = vars(_parser("").parse_args(["-"]))
+    roles = ("recording", "test", "roles", "states", "inputs", "time", "trial", "dt")
+    names = {"start": "FROM", "end": "TO"}
+    for name, value in vars(options).items():
+        if name not in roles and value != defaults[name] and value not in ([], None):
+            yield names.get(name, name.upper()), ",".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def _parser(program):
     parser = _Parser(prog=program, description="Identify a system from a recording.")
     add = parser.add_argument
-    add("recording", type=_path, help="a .csv, .parquet, .mat or .nc file")
+    add("recording", help="a file, several with blanks between, or a pattern such as 'run*.csv'")
+    add("--test", default="", help="more files, or numbers of trials, that are the test")
     add("--out", type=_path, help="folder of the results (default: build/identify/NAME)")
     add("--roles", type=_path, help="YAML file that says which columns are time, states, inputs, trial")
     add("--states", type=_names, default=[], help="columns that are states or outputs, separated by commas")
-    add("--inputs", type=_names, default=[], help="columns that are inputs, separated by commas")
-    add("--time", default="", help="the column of time")
+    add("--inputs", type=_names, default=[], help="columns that are inputs, separated by commas; none: a free motion")
+    add("--time", default="", help="the column of time, or none")
     add("--trial", default="", help="the column that tells trials apart")
-    add("--dt", type=float, default=0.0, help="sampling time in s, without a column of time")
+    add("--dt", type=float, default=0.0, help="sampling time in s, whatever the file says")
+    add("--from", dest="start", type=float, default=0.0, help="leave out what is earlier, in s since the first sample")
+    add("--to", dest="end", type=float, default=0.0, help="leave out what is later")
+    add("--decimate", type=int, default=1, help="keep the first of every so many samples")
     add("--resample", type=float, default=0.0, help="new sampling time in s, for uneven times")
     predictors = ["", "vector_field", "one_step", "lifted_linear"]
     add("--predictor", default="", choices=predictors, help="the only predictor to try")
@@ -94,7 +130,26 @@ def _path(text):
 
 
 def _names(text):
-    return [name.strip() for name in text.split(",") if name.strip()]
+    """Names with commas between; those with a comma in them stand in quotation marks."""
+    return [name.strip() for name in next(csv.reader([text], skipinitialspace=True), []) if name.strip()]
+
+
+def _files(what, text):
+    """The files that one path, several ones or patterns name; of TEST also numbers of trials."""
+    if not text or Path(text).expanduser().exists():
+        return [Path(text).expanduser()] if text else []
+    try:
+        words = shlex.split(text)
+    except ValueError:  # a quotation mark in the one path that is not there
+        words = [text]
+    files = []
+    for word in words:
+        matches = sorted(glob.glob(os.path.expanduser(word))) if set(word) & set("*?[") else [word]
+        if not matches:
+            raise ParameterError(f"{what}: no file matches {word}.")
+        is_trial = what == "TEST" and word.isdigit() and not Path(word).exists()
+        files += [word] if is_trial else [Path(match).expanduser() for match in matches]
+    return files
 
 
 def _numbers(text):
@@ -109,17 +164,21 @@ def _numbers(text):
 
 def _parameters(options, out, root):
     """The notebook's parameters; obvious mistakes are reported before a kernel starts."""
-    for path, what in ((options.recording, "RECORDING"), (options.roles, "ROLES")):
-        if path is not None and not path.is_file():
+    files = [("RECORDING", path) for path in options.recording]
+    files += [("TEST", path) for path in options.test if isinstance(path, Path)]
+    for what, path in [*files, *([("ROLES", options.roles)] if options.roles else [])]:
+        if not path.is_file():
             fault = "is a folder" if path.is_dir() else "does not exist"
             raise ParameterError(f"{what}: {path} {fault}; give the path of a file.")
-    if options.recording.suffix not in FORMATS:
-        fault = f"{options.recording} ends in {options.recording.suffix!r}"
-        raise ParameterError(f"RECORDING: {fault}; recordings are {', '.join(FORMATS)} files.")
+    for what, path in files:
+        if path.suffix.lower() not in FORMATS:
+            raise ParameterError(f"{what}: {path} ends in {path.suffix!r}; recordings are {', '.join(FORMATS)} files.")
     if out.exists() and not out.is_dir():
         raise ParameterError(f"OUT: {out} is a file; give a folder.")
-    paths = {"recording": options.recording, "out_dir": out, "roles": options.roles}
+    paths = {"out_dir": out, "roles": options.roles}
     parameters = vars(options) | {name: _inside(path, root) if path else "" for name, path in paths.items()}
+    parameters["recording"] = [_inside(path, root) for path in options.recording]
+    parameters["test"] = [_inside(each, root) if isinstance(each, Path) else each for each in options.test]
     del parameters["out"]
     return check_parameters(parameters, notebook_defaults(NOTEBOOK), "the command line")
 

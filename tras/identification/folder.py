@@ -26,26 +26,33 @@ LISTING = "contents.csv"
 _READABLE = 300  # functions; of more no formulas are written
 
 
-def open_log(path="", *, roles=None, states=None, inputs=None, time="", trial="", dt=None, resample=None) -> Recording:
+def open_log(
+    paths=(), *, roles=None, states=None, inputs=None, time="", trial="", dt=None, resample=None, start=None, end=None,
+    decimate=1, test=(),
+) -> Recording:  # fmt: skip
     """Read a recording, its roles by name or by a YAML file; without a path take the `example` "duffing".
 
-    A .nc file knows its roles: ``states`` and ``inputs`` then choose among them.
+    "none" as a role says that there is none; ``test`` holds paths, or numbers of trials as text. A .nc file knows its
+    roles: ``states`` and ``inputs`` then choose among them.
 
     Raises
     ------
     ValueError
         As `Recording.read`.
     """
-    if not path:
+    if not paths:
         return example("duffing")
-    sampling = {"dt": dt or None, "resample": resample or None}
-    if Path(path).suffix == ".nc":
-        return Recording.read(path, roles or None, **sampling).select(states=states or None, inputs=inputs or None)
+    samples = {"dt": dt or None, "resample": resample or None, "start": start or None, "end": end or None}
+    samples |= {"decimate": decimate, "test": [int(each) if str(each).isdigit() else each for each in test] or None}
+    if Path(paths[0]).suffix == ".nc":
+        return Recording.read(paths, roles or None, **samples).select(states=states or None, inputs=inputs or None)
     by_name = {"states": states, "inputs": inputs, "time": time, "trial": trial}
     by_name = {role: columns for role, columns in by_name.items() if columns}
     if roles and by_name:
         raise ValueError(f"roles are given by {roles} and by name ({', '.join(by_name)}); give them in one way.")
-    return Recording.read(path, roles or by_name or None, **sampling)
+    none = {"states": [], "inputs": [], "time": None, "trial": None}
+    by_name = {role: none[role] if columns in ("none", ["none"]) else columns for role, columns in by_name.items()}
+    return Recording.read(paths, roles or by_name or None, **samples)
 
 
 def write(identification: Identification, log: Recording, name: str, folder: str | Path) -> pd.DataFrame:

@@ -51,8 +51,9 @@ def without_idle_channels(recording: Recording) -> tuple[Recording, list[str]]:
 def partition(recording: Recording) -> tuple[Recording, Recording, str]:
     """Two recordings, uncut: one to learn from, and a fifth by which nothing is chosen or fitted; and a remark.
 
-    With five trials or more these are whole trials, every fifth one. Otherwise it is the end of each trial:
-    neighbouring pieces are not independent.
+    The recording's attribute ``test_trajectories`` says which trials are the test. Without it, with five trials or
+    more these are whole trials, every fifth one. Otherwise it is the end of each trial: neighbouring pieces are not
+    independent.
 
     Raises
     ------
@@ -60,6 +61,12 @@ def partition(recording: Recording) -> tuple[Recording, Recording, str]:
         If there is too little for that.
     """
     trials = len(recording)
+    if held_back := recording.attributes.get("test_trajectories"):
+        of_test = np.isin(np.arange(trials), held_back)
+        if of_test.all():
+            raise ValueError("every trajectory is to be kept for the test; leave some to learn from.")
+        remark = f"{of_test.sum()} of {trials} trajectories are kept for the test, as the user or the file says"
+        return recording[~of_test], recording[of_test], remark
     if trials >= _FEWEST_TRIALS:
         of_test = np.arange(trials) % 5 == 2
         remark = f"{of_test.sum()} of {trials} trajectories are kept for the test, every fifth one"

@@ -2,7 +2,7 @@
 
 import mmap
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,7 +24,9 @@ class Source(NamedTuple):
 
     ``read(roles)`` returns a list of dicts, one per trial of the file: name -> (rows,) floats. ``locate(trial, row)``
     says where a row is in the file. ``header`` is what `tras.Recording.write` wrote, or None; ``dt`` is a sampling time
-    that the file states; ``remarks`` tell what was left out.
+    that the file states; ``remarks`` tell what was left out. ``roles`` are ``states`` and ``inputs`` that the file
+    itself states, ``test`` the numbers of the trials that it calls its test or validation set, ``attributes`` what else
+    a recording should keep. ``aliases`` are other names of columns: a scope's own time is the common ``time``.
     """
 
     names: list
@@ -34,6 +36,10 @@ class Source(NamedTuple):
     header: dict | None = None
     dt: float | None = None
     remarks: list = []
+    roles: dict = {}
+    test: Sequence = ()
+    attributes: dict = {}
+    aliases: dict = {}
 
 
 def one_line(error: Exception) -> str:

@@ -5,8 +5,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from tras.io import mcos
 from tras.io.limits import MAX_DEPTH, MAX_PARTS, MAX_VALUES, TOO_NESTED, check_heaps, one_line
 from tras.io.roles import RecordingError
+from tras.io.workspace import Instance, Unread
 
 _NUMERIC = ("double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "logical")
 # What HDF5 raises where a file is damaged.
@@ -14,12 +16,18 @@ _DAMAGE = (OSError, KeyError, RuntimeError, TypeError, ValueError, AttributeErro
 
 
 def read_variables(path: Path) -> dict:
-    """Name -> value of every variable; refuses what `tras.io.matfile5` does, and links and data in other files."""
+    """Name -> value of every variable, `Unread` for what `tras.io.matfile5` passes over, too.
+
+    Links and numbers in other files are refused.
+    """
     check_heaps(path)
     budget = {"parts": 0, "values": 0}
     try:
         with h5py.File(path, "r") as file:
-            return {name: _value(_member(file, name), name, 0, budget) for name in file if not name.startswith("#")}
+            variables = {name: _value(_member(file, name), name, 0, budget) for name in file if name[:1] != "#"}
+            store = file.get("#subsystem#/MCOS")
+            is_store = isinstance(store, h5py.Dataset) and h5py.check_ref_dtype(store.dtype)
+            return mcos.resolved(variables, _cells(store, "objects", 0, budget)) if is_store else variables
     except RecordingError:
         raise
     except _DAMAGE as error:
@@ -38,10 +46,14 @@ def _value(item, name, depth, budget):
         raise RecordingError(TOO_NESTED)
     kind = _text(item.attrs.get("MATLAB_class", b""))
     if "MATLAB_sparse" in item.attrs:
-        raise RecordingError(f"variable {name!r} holds a sparse matrix, which is not read; save full(...).")
-    if "MATLAB_object_decode" in item.attrs or kind == "function_handle":
-        what = "a function handle" if kind == "function_handle" else f"an object ({kind})"
-        raise RecordingError(f"variable {name!r} holds {what}; save its numbers, such as ts.Time and ts.Data.")
+        return Unread("a sparse matrix")
+    if kind == "function_handle":
+        return Unread("a function handle")
+    if "MATLAB_object_decode" in item.attrs:  # of the old kind (2), such as an iddata, a struct; others are opaque
+        if isinstance(item, h5py.Group) and item.attrs["MATLAB_object_decode"] == 2:
+            return Instance(kind, _fields(item, name, depth, budget))
+        content = _dataset(item, "", name, depth, budget) if isinstance(item, h5py.Dataset) else None
+        return Unread(f"an object ({kind[:60]})", kind[:60], content)
     if isinstance(item, h5py.Group):
         return _struct(item, name, depth, budget)
     return _dataset(item, kind, name, depth, budget)
@@ -55,7 +67,11 @@ def _struct(group, name, depth, budget):
         if len({len(values) for values in fields.values()}) != 1:
             raise RecordingError(f"the fields of {name!r} have different numbers of entries; the file is damaged.")
         return [dict(zip(fields, values)) for values in zip(*fields.values())]
-    return {key: _value(item, f"{name}.{key}", depth + 1, budget) for key, item in members.items()}
+    return _fields(group, name, depth, budget)
+
+
+def _fields(group, name, depth, budget):
+    return {key: _value(_member(group, key), f"{name}.{key}", depth + 1, budget) for key in group}
 
 
 def _is_array_of_structs(item):
@@ -70,9 +86,16 @@ def _dataset(item, kind, name, depth, budget):
     if h5py.check_ref_dtype(item.dtype):
         return _cells(item, name, depth, budget)
     if item.dtype.names:
-        raise RecordingError(f"variable {name!r} holds complex or compound numbers; save real and imaginary part.")
+        if set(item.dtype.names) != {"real", "imag"}:
+            return Unread("compound values")
+        parts = None
+        budget["values"] += 2 * item.size
+        if budget["values"] <= MAX_VALUES:
+            parts = np.asarray(item[()]).T
+            parts = parts["real"].astype(float) + 1j * parts["imag"].astype(float)
+        return Unread("complex numbers", content=parts)
     if item.dtype.kind not in "biuf" or (kind and kind not in (*_NUMERIC, "char")):
-        raise RecordingError(f"variable {name!r} is of class {kind or item.dtype}; save its numbers.")
+        return Unread(f"of class {str(kind or item.dtype)[:60]}")
     budget["values"] += item.size
     if budget["values"] > MAX_VALUES:
         raise RecordingError(f"it has more than {MAX_VALUES} values.")

@@ -1,29 +1,34 @@
-"""Which columns of a table are time, states, inputs and trial numbers: specified, or guessed from plain names."""
+"""Which columns of a table are time, states, inputs and trial numbers: specified, or guessed from names and values.
+
+Names come first, then what the values tell (`tras.io.evidence`, `tras.io.clock`). What neither says plainly is one
+question: all columns with a guess for each, and the command that answers it.
+"""
 
 import difflib
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
+from tras.io import clock, evidence
+from tras.io.words import UNITS_OF_TIME, guess_role, says_nothing, step_of, unit_in
 from tras.workflow import arguments
 
 _KEYS = ("time", "states", "inputs", "trial", "dt", "units")
-_TIME = set("t time times timestamp zeit tout seconds elapsed datetime".split())
-_TRIAL = set("trial run episode trajectory traj experiment repetition segment sequence session".split())
-_INPUT = set(
-    "u in input inputs torque torques tau force voltage cmd command control ctrl action actuator pwm throttle duty "
-    "current moment".split()
-)
-_STATE = set(
-    "q x y z angle angles theta phi psi alpha beta gamma pitch yaw roll azimuth elevation heading pos position vel "
-    "velocity speed omega rate state states output outputs out displacement height level".split()
-)
-_UNITS_OF_TIME = {"s": (1, 1), "sec": (1, 1), "seconds": (1, 1), "ms": (1, 1000), "us": (1, 10**6), "µs": (1, 10**6)}
-_UNITS_OF_TIME |= {"μs": (1, 10**6), "ns": (1, 10**9), "min": (60, 1), "h": (3600, 1)}
 
 
 class RecordingError(ValueError):
     """A file is not a recording, or lacks something that one needs: one sentence with its path and the place in it."""
+
+
+class Question(RecordingError):
+    """Roles that are not plain: why, (column, range, guess) of each column, and `Roles` that would answer it."""
+
+    def __init__(self, why: list, table: list, answer: "Roles"):
+        super().__init__("; ".join(why))
+        self.table, self.answer = table, answer
 
 
 class Roles(NamedTuple):
@@ -35,9 +40,12 @@ class Roles(NamedTuple):
     trial: str | None
     dt: float | None
     units: dict
+    stated: float | None = None  # the sampling time that the file states
 
 
-def assign(names: list, roles, units: dict, dt: float | None = None) -> tuple[Roles, list]:
+def assign(
+    names: list, roles, units: dict, dt: float | None = None, values: Callable = lambda name: None
+) -> tuple[Roles, list]:
     """The roles of the columns ``names``: as ``roles`` specifies, the others guessed.
 
     Parameters
@@ -46,22 +54,25 @@ def assign(names: list, roles, units: dict, dt: float | None = None) -> tuple[Ro
         Columns of the file.
     roles : dict, path of a YAML file, or None
         ``time`` and ``trial``: a name or null (none). ``states`` (or ``outputs``) and ``inputs``: a list of names.
-        ``units``: name -> unit. ``dt``: sampling time in s, when there is no column of time.
+        ``units``: name -> unit. ``dt``: sampling time in s. A column may be called by its number, from 1.
     units : dict
         Name -> unit, from the file.
     dt : float, optional
         The sampling time from the file, in s.
+    values : callable, optional
+        Name -> (rows,) floats of the first trial, or None where there are no numbers.
 
     Returns
     -------
     roles : Roles
+        Its ``dt`` is what ``roles`` specifies; the file's where there is no column of time.
     guesses : list of str
         One sentence per guess.
 
     Raises
     ------
     RecordingError
-        When a key or a column is unknown, when a column has two roles, or when the names leave a role open.
+        When a key or a column is unknown or a column has two roles; a `Question` when a role is not plain.
 
     Examples
     --------
@@ -71,84 +82,226 @@ def assign(names: list, roles, units: dict, dt: float | None = None) -> tuple[Ro
     >>> print("; ".join(guesses))
     time is column t; states are phi, phidot; inputs are u1; left out: comment
     """
-    spec = mapping(roles)
-    if "time" not in spec and spec.get("trial") and guess_role(spec["trial"]) == "time":
-        spec["time"] = spec["trial"]
-    columns = _columns_with_a_role(names, spec)
-    candidates = {"time": [], "trial": [], "states": [], "inputs": []}
-    for name in names:
-        role = guess_role(name)
-        if role and name not in columns:
-            candidates[role].append(name)
-    assignment, guesses = dict(spec), []
-    for role, words in (("time", "time is column"), ("trial", "a new trial begins when this column changes:")):
-        if role not in spec:
-            assignment[role] = candidates[role][0] if len(candidates[role]) == 1 else None
-            if assignment[role]:
-                guesses.append(f"{words} {assignment[role]}")
-            elif len(candidates[role]) > 1:
-                listing = " and ".join(candidates[role])
-                raise RecordingError(f"{listing} could each be the column of {role}; {_help(names)}")
-    for role in ("states", "inputs"):
-        if role not in spec:
-            assignment[role] = candidates[role]
-            guesses.append(f"{role} are {', '.join(candidates[role]) or 'none'}")
-    if not assignment["states"]:
-        raise RecordingError(f"no column is plainly a state or an output; {_help(names)}")
-    assignment.setdefault("dt", dt)
-    roles = Roles(**{**assignment, "units": {**units, **spec.get("units", {})}})
-    if roles.time is None and roles.dt is None:
-        raise RecordingError(
-            f"no column is plainly time, and no sampling time is given: give dt (in s), or {_help(names)}"
+    return _Assignment(names, mapping(roles), units, dt, values).result()
+
+
+class _Assignment:
+    """The roles of one table, in the order time, trial, states and inputs; `why` are the reasons to ask."""
+
+    def __init__(self, names, spec, units, dt, values):
+        self.names, self.spec, self.dt, self.why, self.guesses, self.reasons = names, spec, dt, [], [], {}
+        self.cache, self._values = {}, values
+        self.by_number()
+        if "time" not in spec and spec.get("trial") and guess_role(spec["trial"]) == "time":
+            spec["time"] = spec["trial"]
+        self.taken = _columns_with_a_role(names, spec)
+        self.units = {**units, **spec.get("units", {})}
+        self.kinds = {name: None if name in self.taken else guess_role(name, names) for name in names}
+
+    def values(self, name):
+        """The numbers of a column, or None."""
+        if name not in self.cache:
+            self.cache[name] = self._values(name)
+        return self.cache[name]
+
+    def by_number(self):
+        """Numbers of columns in the specification as names."""
+
+        def named(label):
+            is_number = isinstance(label, str) and label.isascii() and label.isdigit() and label not in self.names
+            return self.names[int(label) - 1] if is_number and 0 < int(label) <= len(self.names) else label
+
+        for key, value in self.spec.items():
+            if key in ("time", "trial"):
+                self.spec[key] = named(value)
+            elif key in ("states", "inputs"):
+                self.spec[key] = [named(label) for label in value]
+
+    def result(self):
+        steps = self.step_columns()
+        time = self.spec["time"] if "time" in self.spec else self.time()
+        unit = self.unit_of_time(time)
+        trial = self.spec["trial"] if "trial" in self.spec else self.trial(time)
+        rest = [name for name in self.names if name not in (*self.taken, time, trial, *steps)]
+        states, inputs, open_columns = self.channels(rest)
+        dt = self.spec.get("dt", self.dt if time is None else None)
+        roles = Roles(time, states, inputs, trial, dt, self.units | unit, self.dt)
+        if time is None and dt is None:
+            self.why.append("no column is plainly time, and no sampling time is given")
+        if self.why:
+            raise Question(self.why, *self.answer(roles, open_columns))
+        left = [name for name in self.names if name not in (time, trial, *states, *inputs, *steps)]
+        return roles, self.guesses + ([f"left out: {', '.join(left)}"] if left and self.guesses else [])
+
+    # time and trials
+
+    def step_columns(self):
+        """Columns that state the sampling time by one value: Ts, fs; the time they state becomes the file's."""
+        steps = []
+        for name in self.names:
+            if self.kinds[name] not in ("step", "time") or (column := self.values(name)) is None:
+                continue
+            finite = column[np.isfinite(column)]
+            if finite.size and (finite == finite[0]).all() and len(column) > 1 and (step := step_of(name, finite[0])):
+                if self.dt is not None and abs(step - self.dt) > 1e-6 * step:
+                    raise RecordingError(f"the sampling times in it are {self.dt:g} and {step:g} s; give dt, in s.")
+                self.dt = step
+                self.guesses.append(f"the sampling time is {step:g} s, by column {name}")
+                steps.append(name)
+                self.kinds[name] = "step"
+        return steps
+
+    def time(self):
+        """The column of time: by its name or unit, else the one that rises evenly."""
+        named = [name for name in self.names if self.kinds[name] == "time"]
+        named += [
+            name for name in self.names
+            if name not in (*named, *self.taken) and self.units.get(name, "").lower() in UNITS_OF_TIME
+            if self.kinds[name] not in ("step", "trial")
+        ]  # fmt: skip
+        columns = {name: self.values(name) for name in named}
+        rising = [name for name, column in columns.items() if column is None or clock.rises(column)]
+        if len(rising) > 1:
+            strictly = [name for name in rising if columns[name] is None or (np.diff(columns[name]) > 0).all()]
+            rising = strictly or rising
+        why = ""
+        if not rising:
+            rising, why = self.even_columns(), ", because it rises evenly"
+        if len(rising) > 1:
+            self.why.append(f"{' and '.join(rising)} could each be the column of time")
+        if len(rising) != 1:
+            return None
+        self.guesses.append(f"time is column {rising[0]}{why}")
+        self.reasons[rising[0]] = "time" + (" (rises evenly)" if why else "")
+        return rising[0]
+
+    def even_columns(self):
+        """The columns without a name of input or trial that rise evenly and do more than to count the rows."""
+        even = []
+        for name in self.names:
+            if name in self.taken or self.kinds[name] in ("inputs", "trial"):
+                continue
+            column = self.values(name)
+            if column is not None and clock.rises_evenly(column):
+                if clock.is_counter(column):
+                    self.reasons[name] = "left out: counts the rows"
+                else:
+                    even.append(name)
+        return even
+
+    def unit_of_time(self, time):
+        """{time: unit} where name and file leave it open and the values tell it."""
+        if time is None:
+            return {}
+        unit = self.units.get(time)
+        if clock.seconds(time, unit) is None:
+            known = ", ".join(UNITS_OF_TIME)
+            raise RecordingError(f"the column of time {time!r} has the unit {unit!r}; give one of {known} under units.")
+        if unit or unit_in(time) or (column := self.values(time)) is None:
+            return {}
+        unit, why = clock.guess_unit(column)
+        if unit:
+            self.guesses.append(f"{time} is in {unit}, because {why}")
+            self.reasons[time] = f"time in {unit} ({why})"
+        return {time: unit} if unit else {}
+
+    def trial(self, time):
+        named = [name for name in self.names if self.kinds[name] == "trial" and name != time]
+        if len(named) > 1:
+            self.why.append(f"{' and '.join(named)} could each be the column of trial")
+        if len(named) != 1:
+            return None
+        self.guesses.append(f"a new trial begins when this column changes: {named[0]}")
+        self.reasons[named[0]] = "trial"
+        return named[0]
+
+    # states and inputs
+
+    def channels(self, rest):
+        """(states, inputs, columns that are open: they move and no role is plain)."""
+        by_name = {role: [name for name in rest if self.kinds[name] == role] for role in ("states", "inputs")}
+        for role, columns in by_name.items():
+            self.reasons |= dict.fromkeys(columns, f"{role[:-1]} (name)")
+        states, inputs = (self.spec.get(role, columns) for role, columns in by_name.items())
+        doubtful = [] if "states" in self.spec else self.doubtful(states)
+        if not inputs and not {"states", "inputs"} & set(self.spec):
+            beside = _beside_y(states)
+            if beside:
+                self.why.append(f"{', '.join(beside)} may be the input, as there is y and no u")
+            doubtful, held = [*doubtful, *(name for name in beside if name not in doubtful)], doubtful
+        else:
+            held = doubtful
+        open_columns = [name for name in rest if name not in (*states, *inputs) and self.is_open(name)]
+        for role, columns in (("states", states), ("inputs", inputs)):
+            if role not in self.spec:
+                self.guesses.append(f"{role} are {', '.join(columns) or 'none'}")
+        nameless = [name for name in open_columns if says_nothing(name)]
+        if not states:
+            self.why.append("no column is plainly a state or an output")
+        elif nameless and "states" not in self.spec:
+            self.why.append(f"{', '.join(nameless[:6])} move and nothing says what they are")
+        if held:
+            self.why.append(f"{', '.join(held)} would be a state by name, but jumps and stays like an input")
+        if not inputs and "inputs" not in self.spec and open_columns:
+            self.why.append("no column is plainly an input")
+        return states, inputs, open_columns + doubtful
+
+    def doubtful(self, states):
+        """States by name whose values are held in steps while those of others are not."""
+        held = [name for name in states if (column := self.values(name)) is not None and evidence.is_held(column)]
+        return held if len(held) < len(states) else []
+
+    def is_open(self, name):
+        if self.kinds[name] == "beside" or self.reasons.get(name, "").startswith("left"):
+            return False
+        column = self.values(name)
+        return column is not None and evidence.moves(column)
+
+    def answer(self, roles, open_columns):
+        """(lines of the question, roles with a guess for every open column)."""
+        columns = {name: self.values(name) for name in open_columns}
+        states = [name for name in roles.states if name not in open_columns]
+        still = [name for name in states if (column := self.values(name)) is not None and not evidence.moves(column)]
+        if "states" not in self.spec and len(still) < len(states):
+            states = [name for name in states if name not in still]
+            self.reasons |= dict.fromkeys(still, "left out (constant)")
+        guesses = evidence.guesses(
+            {name: column for name, column in columns.items() if column is not None},
+            {name for name in open_columns if self.kinds[name] == "reference"},
+            [column for name in states if (column := self.values(name)) is not None],
+            has_inputs=bool(roles.inputs),
         )
-    rest = [name for name in names if name not in (roles.time, roles.trial, *roles.states, *roles.inputs)]
-    return roles, guesses + ([f"left out: {', '.join(rest)}"] if rest and guesses else [])
+        inputs = list(roles.inputs)
+        if not inputs and "inputs" not in self.spec:
+            inputs = [name for name, (guess, _) in guesses.items() if guess == "input"]
+        if "states" not in self.spec:
+            of_values = [name for name, (guess, _) in guesses.items() if guess == "state"]
+            states += of_values if not states else [name for name in of_values if says_nothing(name)]
+        for name, (_, why) in guesses.items():
+            role = "state" if name in states else "input" if name in inputs else "left out"
+            self.reasons[name] = f"{role}? {f'({why})' if why else ''}".strip()
+        dt = roles.dt or self.dt or (None if roles.time else 1.0)
+        answer = roles._replace(states=self.ordered(states), inputs=self.ordered(inputs), dt=dt)
+        return [self.line(number, name) for number, name in enumerate(self.names, 1)], answer
+
+    def ordered(self, names):
+        return [name for name in self.names if name in names]
+
+    def line(self, number, name):
+        """(number and name, unit, range, guess) of a column, as text."""
+        column, unit = self.values(name), self.units.get(name, "")
+        finite = column[np.isfinite(column)] if column is not None else ()
+        span = f"{min(finite):.5g} to {max(finite):.5g}" if len(finite) else "no numbers"
+        if len(finite) and min(finite) == max(finite):
+            span = f"always {finite[0]:.5g}"
+        return str(number), name, unit, span, self.reasons.get(name, "left out")
 
 
-def guess_role(name: str) -> str | None:
-    """Return "time", "trial", "states" or "inputs" if ``name`` says so plainly, else None.
-
-    Examples
-    --------
-    >>> names = ("Time_ms", "run", "theta_dot", "dq2", "motorTorque", "u", "reference", "torque_angle")
-    >>> [guess_role(name) for name in names]
-    ['time', 'trial', 'states', 'states', 'inputs', 'inputs', None, None]
-    """
-    words = [word.lower() for word in re.findall(r"[A-Z]?[^\W\d_A-Z]+|[A-Z]+", name)]
-    if words and words[0] in _TIME and all(word in _UNITS_OF_TIME or word == "stamp" for word in words[1:]):
-        return "time"
-    if words and words[0] in _TRIAL and all(word in ("id", "no", "nr", "num", "number", "index") for word in words[1:]):
-        return "trial"
-    vocabularies = (("states", _STATE), ("inputs", _INPUT))
-    roles = {role for role, vocabulary in vocabularies if any(_is_in(vocabulary, word) for word in words)}
-    unclear = {"ref", "reference", "setpoint", "target", "desired", "goal", "time", "error"} & set(words)
-    if words and words[0] in ("u", "tau", "input", "cmd"):
-        roles = {"inputs"}  # u_phi: the input that moves phi
-    return roles.pop() if len(roles) == 1 and not unclear else None
-
-
-def seconds(name: str, unit: str | None) -> tuple[int, int]:
-    """(numerator, denominator) that convert the column of time ``name`` with ``unit`` to s.
-
-    Raises
-    ------
-    RecordingError
-        If the unit is not one of time.
-    """
-    if not unit:
-        unit = re.split(r"[_ ]", name.lower())[-1]
-        return _UNITS_OF_TIME.get(unit, (1, 1)) if unit != name.lower() else (1, 1)
-    if unit.lower() not in _UNITS_OF_TIME:
-        raise RecordingError(
-            f"the column of time {name!r} has the unit {unit!r}; give one of {', '.join(_UNITS_OF_TIME)} under units."
-        )
-    return _UNITS_OF_TIME[unit.lower()]
-
-
-def _is_in(vocabulary, word):
-    """Whether a word or what it is the derivative of is in the vocabulary: dq, qd, qdot, thetadot."""
-    roots = (word, word.removeprefix("d"), *(word.removesuffix(suffix) for suffix in ("dot", "ddot", "d")))
-    return not vocabulary.isdisjoint(roots)
+def _beside_y(names):
+    """The columns x, x1, X2 of a table that has besides them but y, y1, Y2: in learning, x goes in and y comes out."""
+    xs = [name for name in names if re.fullmatch(r"[xX]_?\d*", name)]
+    ys = [name for name in names if re.fullmatch(r"[yY]_?\d*", name)]
+    return xs if ys and len(xs) + len(ys) == len(names) else []
 
 
 def mapping(roles) -> dict:
@@ -211,15 +364,6 @@ def _columns_with_a_role(names, spec):
         if columns.count(name) > 1:
             raise RecordingError(f"roles: column {name!r} has two roles; give it one.")
     return columns
-
-
-def _help(names):
-    """What to write, with the file's own names as examples."""
-    examples = [*names[:3], "...", "...", "..."]
-    return (
-        f"{_listing(names)}; say what they are in a YAML file (or a dict) given as roles, for example\n"
-        f"    time: {examples[0]}\n    states: [{examples[1]}]\n    inputs: [{examples[2]}]\n    trial: null"
-    )
 
 
 def _listing(names):

@@ -1,17 +1,64 @@
 """From columns to trajectories: trials, the sampling time, missing values, resampling when asked."""
 
 import functools
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
-from tras.io.roles import RecordingError, seconds
+from tras.io import clock
+from tras.io.roles import RecordingError
 from tras.workflow import arguments
 
-TOLERANCE = 0.01  # of the sampling time: how far a step may be from it
+TOLERANCE = 0.2  # of the sampling time: how far a stamp may be from the even grid
+_STRICT, _FEW = 0.01, 10  # the same for fewer stamps than that, which show no grid
+_SAID = 0.001  # of the sampling time: from here on the distance is said
+
+
+class Wishes(NamedTuple):
+    """What a user may ask of the samples; see `tras.Recording.read`."""
+
+    resample: float | None = None
+    missing: str = "cut"
+    tolerance: float = TOLERANCE
+    start: float | None = None
+    end: float | None = None
+    decimate: int = 1
+
+    def check(self):
+        if self.missing not in ("cut", "refuse"):
+            raise RecordingError(f"missing is {self.missing!r}; give 'cut' or 'refuse'.")
+        for name in ("resample", "tolerance", "end"):
+            if getattr(self, name) is not None:
+                give = "a positive number"
+                arguments.number(name, getattr(self, name), 0, ends=False, give=give, error=RecordingError)
+        if self.start is not None:
+            arguments.number("start", self.start, 0, give="a number of seconds, 0 or more", error=RecordingError)
+            if self.end is not None and self.end <= self.start:
+                raise RecordingError(f"end is {self.end:g} s but start is {self.start:g} s; give a later end.")
+        arguments.whole_number("decimate", self.decimate, error=RecordingError)
+
+
+AS_IT_IS = Wishes()
+
+
+class _Place(NamedTuple):
+    """Where a piece begins: row ``start`` of a table of the file; called with a row of the piece, it says where."""
+
+    locate: Callable
+    table: int
+    start: int
+    trial: int
+
+    def __call__(self, row):
+        return self.locate(self.table, self.start + int(row))
+
+    def after(self, rows):
+        return self._replace(start=self.start + int(rows))
 
 
 @np.errstate(over="ignore", invalid="ignore")  # damaged times may overflow; the result is refused
-def trajectories(tables, roles, locate, *, resample=None, missing="cut", tolerance=TOLERANCE):
+def trajectories(tables, roles, locate, *, wishes=AS_IT_IS):
     """States, inputs and sampling time of a recording, and remarks on changes and constant channels.
 
     Parameters
@@ -19,10 +66,10 @@ def trajectories(tables, roles, locate, *, resample=None, missing="cut", toleran
     tables : list of dict
         One per trial of the file: name -> (rows,) floats; the column of trials may hold text.
     roles : tras.io.roles.Roles
+        Its ``dt``, if there is one, is the sampling time, whatever the stamps say. Stamps must agree with ``stated``.
     locate : callable
         (table, row) -> where that is in the file, as text.
-    resample, missing, tolerance
-        See `tras.Recording.read`.
+    wishes : Wishes
 
     Returns
     -------
@@ -30,41 +77,63 @@ def trajectories(tables, roles, locate, *, resample=None, missing="cut", toleran
     dt : float
         In s.
     remarks : list of str
+    numbers : list of (int, int)
+        Of each trajectory, the table and the trial that it comes from, from 0.
 
     Raises
     ------
     RecordingError
         When time goes backwards, stands still or is uneven, when a trial begins twice, or when nothing is left.
     """
-    if missing not in ("cut", "refuse"):
-        raise RecordingError(f"missing is {missing!r}; give 'cut' or 'refuse'.")
-    for name, value in (("resample", resample), ("tolerance", tolerance)):
-        if value is not None:
-            arguments.number(name, value, 0, ends=False, give="a positive number", error=RecordingError)
-    numerator, denominator = (1, 1) if roles.time is None else seconds(roles.time, roles.units.get(roles.time))
-    pieces, remarks = [], []
-    for number, table in enumerate(tables):
-        for start, end in _trials(table, roles, functools.partial(locate, number)):
-            rows = slice(start, end)
-            x = np.column_stack([table[name][rows] for name in roles.states])
-            u = np.column_stack([table[name][rows] for name in roles.inputs] or [np.empty((end - start, 0))])
-            where = lambda row, number=number, start=start: locate(number, start + row)  # noqa: E731
-            t = None if roles.time is None else table[roles.time][rows] * numerator / denominator
-            pieces.append((t, x, u, where))
-    pieces = _cut(pieces, roles, missing, remarks)
+    wishes.check()
+    pieces, remarks = _pieces(tables, roles, locate, wishes), []
+    pieces = _cut(pieces, roles, wishes.missing, remarks)
     if roles.time is None:
-        if resample is not None:
+        if wishes.resample is not None:
             raise RecordingError("resample needs a column of time; there is none.")
-        dt = float(roles.dt)
+        step = float(roles.dt)
     else:
         for t, _, _, where in pieces:
             _check_order(t, where, roles)
-        dt = float(resample) if resample is not None else _sampling_time(pieces, roles, tolerance)
-        if resample is not None:
-            pieces = _resampled(pieces, dt, remarks)
-    _, states, inputs, _ = zip(*pieces)
-    remarks += _constant(states, roles.states) + _constant(inputs, roles.inputs)
-    return list(states), list(inputs), dt, remarks
+        step = wishes.resample or _sampling_time(pieces, roles, wishes.tolerance, remarks)
+        if wishes.resample is not None:
+            pieces = _resampled(pieces, step, remarks)
+    if wishes.decimate > 1:
+        pieces, step = _decimated(pieces, wishes.decimate, remarks), step * wishes.decimate
+    _, states, inputs, places = zip(*pieces)
+    remarks += _constant(states, roles.states) + _constant(inputs, roles.inputs) + _odd_ends(pieces, roles, step)
+    return list(states), list(inputs), float(step), remarks, [(place.table, place.trial) for place in places]
+
+
+def _pieces(tables, roles, locate, wishes):
+    """(time in s or None, states, inputs, place) of every trial, from ``start`` to ``end``."""
+    numerator, denominator = (1, 1) if roles.time is None else clock.seconds(roles.time, roles.units.get(roles.time))
+    pieces = []
+    for number, table in enumerate(tables):
+        for first, end in _trials(table, roles, functools.partial(locate, number)):
+            rows = slice(first, end)
+            x = np.column_stack([table[name][rows] for name in roles.states])
+            u = np.column_stack([table[name][rows] for name in roles.inputs] or [np.empty((end - first, 0))])
+            t = None if roles.time is None else table[roles.time][rows] * numerator / denominator
+            place = _Place(locate, number, first, len(pieces))
+            pieces.append(_between(t, x, u, place, roles.dt, wishes))
+    if wishes.start is None and wishes.end is None:
+        return pieces
+    if not any(len(x) for _, x, _, _ in pieces):
+        raise RecordingError("nothing lies between start and end, in s since the first sample of each trial.")
+    return [piece for piece in pieces if len(piece[1])]
+
+
+def _between(t, x, u, place, dt, wishes):
+    """The part of a trial from ``start`` to ``end``, in s since its first sample."""
+    if wishes.start is None and wishes.end is None:
+        return t, x, u, place
+    since = np.arange(len(x)) * dt if t is None else t - (t[0] if len(t) else 0)
+    slack = 1e-9 * max(wishes.start or 0, wishes.end or 0)
+    low, high = (wishes.start or 0) - slack, np.inf if wishes.end is None else wishes.end + slack
+    rows = np.flatnonzero((since >= low) & (since <= high))
+    part = slice(rows[0], rows[-1] + 1) if rows.size else slice(0, 0)
+    return None if t is None else t[part], x[part], u[part], place.after(rows[0] if rows.size else 0)
 
 
 def _trials(table, roles, where):
@@ -107,8 +176,8 @@ def _cut(pieces, roles, missing, remarks):
         places += [f"{names[np.argmax(bad[row])]} at {where(row)}" for row in gaps[:3]]
         for start, end in zip([0, *(gaps + 1)], [*gaps, len(x)]):
             if end - start >= 2:
-                shifted = lambda row, where=where, start=start: where(start + row)  # noqa: E731
-                complete.append((None if t is None else t[start:end], x[start:end], u[start:end], shifted))
+                stamps = None if t is None else t[start:end]
+                complete.append((stamps, x[start:end], u[start:end], where.after(start)))
             elif end > start:
                 short += 1
     if places:
@@ -131,57 +200,76 @@ def _check_order(t, where, roles):
             f"{where(row)}: time goes backwards in column {roles.time!r}, from {t[row - 1]:g} to {t[row]:g} s; "
             f"sort the rows, name the trial's column, or give `trial: {roles.time}` if a new trial begins there."
         )
-    if np.any(steps == 0):
-        row = int(np.argmax(steps == 0)) + 1
-        raise RecordingError(
-            f"{where(row)}: the time {t[row]:g} s in column {roles.time!r} stands there twice "
-            f"({np.sum(steps == 0)} rows repeat one); keep one row of each."
-        )
 
 
-def _sampling_time(pieces, roles, tolerance):
-    """The step that all samples share within the tolerance."""
-    steps = np.concatenate([np.diff(t) for t, *_ in pieces])
+def _sampling_time(pieces, roles, tolerance, remarks):
+    """The step of the even grid on which the stamps stand within the tolerance, or the one that was given."""
+    times = [t for t, *_ in pieces]
+    steps = np.concatenate([np.diff(t) for t in times])
     if not steps.size:
-        if roles.dt is None:
+        if roles.dt is None and roles.stated is None:
             raise RecordingError("every trajectory has one sample, so there is no sampling time; give dt, in s.")
+        return float(roles.dt or roles.stated)
+    step, deviation, quantum = clock.grid(times)
+    if roles.dt is not None:
+        if not abs(step - roles.dt) <= _STRICT * roles.dt:
+            remarks.append(f"the sampling time is {roles.dt:g} s, as given; column {roles.time} says {step:.6g} s")
         return float(roles.dt)
-    longest = max((t for t, *_ in pieces), key=len)
-    dt = float(roles.dt) if roles.dt is not None else float(np.median(steps))
-    if not 0 < dt < np.inf:
-        raise RecordingError(f"the median step of column {roles.time!r} is {dt} s, which is no sampling time.")
-    grain = 4 * np.spacing(max(np.abs(t).max() for t, *_ in pieces))  # far from zero, the time stamps are rounded
-    limit = tolerance * dt + grain
-    uneven = np.abs(steps - dt) > limit
-    if uneven.any():
-        first = next(
-            where(row + 1) for t, *_, where in pieces for row in np.flatnonzero(np.abs(np.diff(t) - dt) > limit)
-        )
-        reference = "the given dt" if roles.dt is not None else "the median"
+    if not 0 < step < np.inf:
+        raise RecordingError(f"the mean step of column {roles.time!r} is {step} s, which is no sampling time.")
+    if roles.stated is not None and abs(step - roles.stated) > _STRICT * roles.stated:
         raise RecordingError(
-            f"time is uneven in column {roles.time!r}: {uneven.sum()} of {len(steps)} steps differ from {reference}, "
-            f"{dt:.6g} s, by more than {100 * tolerance:g} %, the first at {first}; "
-            f"they are between {steps.min():.6g} and {steps.max():.6g} s. "
-            f"Read with resample={_round(float(np.median(steps)), 3):g} (linear for states, held for inputs), "
-            "or a larger tolerance."
+            f"the file states a sampling time of {roles.stated:g} s, but column {roles.time!r} says {step:.6g} s; "
+            "give dt."
         )
-    return dt if roles.dt is not None else _plain_step(longest)
+    grain = 4 * np.spacing(max(np.abs(t).max() for t in times))  # far from zero, the time stamps are rounded
+    limit = (tolerance if len(steps) >= _FEW else min(tolerance, _STRICT)) * step + grain
+    rounded = len(steps) >= _FEW and clock.is_rounded(steps, step, deviation, quantum)
+    if not rounded:
+        _check_repeats(pieces, roles)
+        if deviation > limit:
+            raise RecordingError(_uneven(pieces, roles, steps, deviation, limit))
+    if deviation > _SAID * step + grain:
+        why = f", because they are rounded to {quantum:g} s" if rounded else ""
+        remarks.append(
+            f"the stamps of {roles.time} lie up to {deviation:.3g} s ({100 * deviation / step:.3g} %) off an even grid "
+            f"of {step:.6g} s{why}; taken as even"
+        )
+    return step
 
 
-def _plain_step(t):
-    """The step with the fewest digits that explains even times: 0.01 where they say 0.0099999999."""
-    k, mean = np.arange(len(t)), (t[-1] - t[0]) / (len(t) - 1)
+def _check_repeats(pieces, roles):
+    for t, _, _, where in pieces:
+        steps = np.diff(t)
+        if np.any(steps == 0):
+            row = int(np.argmax(steps == 0)) + 1
+            raise RecordingError(
+                f"{where(row)}: the time {t[row]:g} s in column {roles.time!r} stands there twice "
+                f"({np.sum(steps == 0)} rows repeat one); keep one row of each."
+            )
 
-    def worst(step):
-        return np.abs(t - t[0] - k * step).max()
 
-    limit = 1.5 * worst(mean) + 4 * np.spacing(np.abs(t).max())
-    rounded = [_round(mean, digits) for digits in range(1, 16)]
-    return float(next((step for step in rounded if worst(step) <= limit), mean))
-
-
-def _round(value, digits):
-    return float(f"{value:.{digits - 1}e}")
+def _uneven(pieces, roles, steps, deviation, limit):
+    """The sentence about stamps that lie off the grid."""
+    median = float(np.median(steps))
+    far = np.abs(steps - median) > limit
+    cure = (
+        f"Read with resample={float(f'{median:.2e}'):g} (linear for states, held for inputs), with dt if the stamps "
+        "are wrong, or with a larger tolerance."
+    )
+    if not far.any():
+        return (
+            f"time is uneven in column {roles.time!r}: its stamps lie up to {deviation:.3g} s off an even grid, the "
+            f"limit is {limit:.3g} s. {cure}"
+        )
+    first = next(
+        where(row + 1) for t, *_, where in pieces for row in np.flatnonzero(np.abs(np.diff(t) - median) > limit)
+    )
+    return (
+        f"time is uneven in column {roles.time!r}: {far.sum()} of {len(steps)} steps differ from the median, "
+        f"{median:.6g} s, by more than {100 * limit / median:.3g} %, the first at {first}; "
+        f"they are between {steps.min():.6g} and {steps.max():.6g} s. {cure}"
+    )
 
 
 def _resampled(pieces, dt, remarks):
@@ -208,3 +296,40 @@ def _constant(arrays, names):
     table = np.concatenate(arrays)
     constant = (table == table[0]).all(axis=0) & (len(table) > 1)
     return [f"{name} is constant ({table[0, i]:g})" for i, name in enumerate(names) if constant[i]]
+
+
+def _decimated(pieces, factor, remarks):
+    """Every ``factor``-th sample; of inputs the mean over the samples that are left out, which does the same work."""
+    new = []
+    for t, x, u, where in pieces:
+        count = len(x) // factor
+        if count:
+            held = u[: count * factor].reshape(count, factor, -1).mean(axis=1)
+            new.append((None if t is None else t[: count * factor : factor], x[: count * factor : factor], held, where))
+    if not new:
+        raise RecordingError(f"decimate is {factor}, more than a trajectory has samples; give less.")
+    remarks.append(f"of every {factor} samples of the states the first is kept, of the inputs the mean")
+    return new
+
+
+def _odd_ends(pieces, roles, dt):
+    """Sentences on a first sample far from the others, and on rests in which nothing moves."""
+    remarks, names = [], [*roles.states, *roles.inputs]
+    for _, x, u, where in pieces[:20]:
+        table = np.hstack([x, u])
+        if len(table) < 20:
+            continue
+        steps = np.abs(np.diff(table[:200], axis=0))
+        far = (steps[0] > 10 * steps[1:].max(axis=0)) & (steps[0] > 0.1 * np.ptp(table, axis=0))
+        remarks += [
+            f"the first sample of {names[i]}, {table[0, i]:g} at {where(0)}, lies far from the next, {table[1, i]:g}"
+            for i in np.flatnonzero(far)
+        ]
+        same = (table == table[0]).all(axis=1), (table == table[-1]).all(axis=1)[::-1]
+        for moment, still in zip(("first", "last"), same):
+            count = int(np.argmin(still)) if not still.all() else 0
+            if count >= max(10, len(table) // 20):
+                remarks.append(
+                    f"nothing moves in the {moment} {count * dt:.3g} s ({count} samples; start= or end= leave it out)"
+                )
+    return remarks[:6]

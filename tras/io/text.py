@@ -1,58 +1,56 @@
-"""Text tables (.csv): separators, decimal commas, units and times as loggers and spreadsheets write them.
+"""Text tables (.csv, .txt, .dat ...): what loggers, oscilloscopes and spreadsheets write, as columns of numbers.
 
-pandas writes them. It does not read them, because it does not say on which line of the file a wrong cell stands.
+One pass for all of them: bytes, UTF-8, layout (`tras.io.dialect`), columns (pandas). pandas does not say on which line
+of the file a wrong cell stands; only for such a sentence the rows are counted again.
 """
 
 import contextlib
 import csv
-import datetime
 import io
-import itertools
 import json
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-from tras.io.limits import FORMAT, MAX_TEXT, Source, check_size
+from tras.io import dialect
+from tras.io.limits import FORMAT, MAX_TEXT, Source, check_size, one_line
 from tras.io.roles import RecordingError
+from tras.io.words import guess_role, step_of
 
 _MARK = f"# {FORMAT}: "  # our own files: one line of JSON above the header
-_MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"}
-_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
-_IN_BRACKETS = re.compile(r"(.*?\S)\s*[\[(]([^\[\]()]*)[\])]\s*")
+_POINTER = b"version https://git-lfs.github.com/spec/"
+_HEAD = 2**22  # bytes in which the layout is looked for
+_MISSING = sorted({form for word in dialect.MISSING for form in (word, word.upper(), word.title())} | {"NaN", "#N/A"})
+_DECIMAL_COMMA = re.compile(rb"(?<![\d.,])[+-]?0?,\d|\d,\d{1,2}(?![\d,])|,\d{4}|\d{4},\d")  # none of thousands
+_FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")  # 1.5D+02
+_FEW = 0.02  # of the rows: what is filled in fewer is no column of the recording, but notes beside it
 
 
 def open_table(path: Path) -> Source:
-    """The `Source` of a text table. Numbers are read once the roles are known, so columns of comments do no harm."""
+    """The `Source` of a text table. Columns of text do no harm, as long as they have no role."""
     if (size := path.stat().st_size) > MAX_TEXT:
         raise RecordingError(f"it has {size} bytes, text is read up to {MAX_TEXT}; write .parquet instead, or cut it.")
-    text = _decode(path.read_bytes())
-    header, names, separator, start = _header(text)
-    rows, lines = _rows(text, separator, start)
-    if header and not text.endswith("\n"):
+    content, encoding = _utf8(path.read_bytes())
+    header, start = _own_header(content)
+    lines = content[start : start + _HEAD].decode("utf-8", errors="ignore").split("\n")
+    if len(content) - start > _HEAD:
+        lines.pop()
+    if header is None:
+        layout = dialect.find([line.rstrip("\r") for line in lines[: dialect.WINDOW]])
+    elif not content.endswith(b"\n"):
         raise RecordingError("its last line is not whole; the file was cut off.")
-    if rows and not names:
-        names = rows.pop(0)
-        del lines[0]
-    if not rows:
-        raise RecordingError("it has a header but no row below it.")
-    rows, lines = _even(rows, lines, names, separator)
-    check_size(len(rows), len(names))
-    names, units = (names, {}) if header else _names_and_units(names, rows, lines)
-    columns = dict(zip(names, zip(*rows)))
-
-    def read(roles):
-        channels = [*roles.states, *roles.inputs]
-        comma = _decimal_comma([columns[name] for name in (*channels, roles.time) if name is not None], separator)
-        table = {name: _numbers(name, columns[name], lines, comma) for name in channels}
-        if roles.trial is not None and roles.trial != roles.time:
-            table[roles.trial] = np.array([cell.strip() for cell in columns[roles.trial]])
-        if roles.time is not None:
-            table[roles.time] = _times(roles.time, columns[roles.time], lines, comma)
-        return [table]
-
-    return Source(names, units, read, lambda _, row: f"line {lines[row]}", header)
+    else:
+        names = next(csv.reader(lines[:1]), [])
+        layout = dialect.Layout(",", ".", 1, len(names), names, True, {}, [], "", False)
+    table = _Table(content, start, layout)
+    remarks = [text for text in (layout.sentence, *table.remarks) if text]
+    remarks += [f"its letters are {encoding}"] if encoding != "UTF-8" else []
+    units = {name: unit for name, unit in layout.units.items() if name in table.columns} | table.dates()
+    steps = [step for row in layout.preamble if len(row) > 1 if (step := step_of(row[0], row[1]))]
+    return Source(list(table.columns), units, table.read, table.locate, header, steps[0] if steps else None, remarks)
 
 
 def write_recording(recording, header: dict, path: Path) -> None:
@@ -62,190 +60,293 @@ def write_recording(recording, header: dict, path: Path) -> None:
         recording.to_frame().to_csv(file, index=False, lineterminator="\n")  # as many digits as it takes
 
 
-def _decode(content):
-    """The text without the byte order mark that Excel writes."""
+def _utf8(content):
+    """(the bytes in UTF-8, without a byte order mark and with line feeds; the encoding that they had)."""
+    if content.startswith(_POINTER):
+        raise RecordingError("it is a pointer of Git LFS in place of the file: get the file by `git lfs pull`.")
     marks = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
     encoding = next((encoding for mark, encoding in marks.items() if content.startswith(mark)), "utf-8")
+    if encoding == "utf-8" and len(content) > 3 and not any(content[1:200:2]):
+        encoding = "utf-16-le"
     try:
-        text = content.decode(encoding)
-    except UnicodeDecodeError as error:
+        if encoding != "utf-8" or not content.isascii():
+            text = content.decode(encoding)
+            content = text.encode() if encoding != "utf-8" else content
+    except UnicodeError as error:
         if encoding != "utf-8" or b"\0" in content:
-            why = f"byte {error.start} is not {encoding}"
-            raise RecordingError(f"it is no text ({why}); export it as CSV, UTF-8.") from error
-        text = content.decode("cp1252", errors="replace")  # spreadsheets in western Europe: a degree sign, a Greek mu
-    if "\0" in text:
-        line = text.count("\n", 0, text.index("\0")) + 1
+            why = f"{one_line(error)}" if not isinstance(error, UnicodeDecodeError) else f"byte {error.start}"
+            raise RecordingError(f"it is no text ({why} is not {encoding}); export it as CSV, UTF-8.") from error
+        content = content.decode("cp1252", errors="replace").encode()  # western Europe: a degree sign, a Greek mu
+        encoding = "Windows-1252"
+    if b"\0" in content:
+        line = content.count(b"\n", 0, content.index(b"\0")) + 1
         raise RecordingError(f"it is no text: there is a zero byte near line {line}; export it as CSV.")
-    return text
+    if b"\n" not in content[:_HEAD]:
+        content = content.replace(b"\r", b"\n")
+    return content, encoding.upper().removesuffix("-SIG")
 
 
-def _header(text):
-    """(own header or None, names or [] when they are the first row, separator, line where the rows begin)."""
-    first, _, rest = text.partition("\n")
-    if first.startswith(_MARK):
-        try:
-            header = json.loads(first.removeprefix(_MARK))
-        except (ValueError, RecursionError) as error:
-            raise RecordingError(
-                f"line 1: its JSON is damaged ({error}); delete the line to read the table."
-            ) from error
-        if not isinstance(header, dict):
-            raise RecordingError("line 1: its JSON is no mapping; delete the line to read the table.")
-        return header, [], ",", 1
-    lines = text.split("\n", 400)[:400]
-    comment, start = "", 0
-    while start < len(lines) and (not lines[start].strip() or lines[start].lstrip()[0] in "#%"):
-        comment = lines[start].strip().lstrip("#% ") or comment
-        start += 1
-    if start < len(lines) and re.fullmatch(r"sep=.", lines[start].strip()):  # Excel's own hint
-        return None, [], lines[start].strip()[-1], start + 1
-    if start == len(lines):
-        raise RecordingError("it has no rows.")
-    separator = _separator([line for line in lines[start : start + 50] if line.strip()])
-    cells, names = _cells(lines[start], separator), []
-    if cells and all(map(_is_number, cells)):  # numpy.savetxt puts the names into a comment
-        names = [cell.strip() for cell in _cells(comment, separator)]
-        if len(names) != len(cells):
-            raise RecordingError(
-                f"line {start + 1}: there are numbers but no names above them; write a line of {len(cells)} names."
+def _own_header(content):
+    """(header or None, where the table begins) of a file of `write_recording`."""
+    first, end, _ = content[:_HEAD].partition(b"\n")
+    if not first.startswith(_MARK.encode()):
+        return None, 0
+    try:
+        header = json.loads(first.removeprefix(_MARK.encode()))
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(f"line 1: its JSON is damaged ({error}); delete the line to read the table.") from error
+    if not isinstance(header, dict):
+        raise RecordingError("line 1: its JSON is no mapping; delete the line to read the table.")
+    return header, len(first + end)
+
+
+class _Table:
+    """The columns of a text table, name -> pandas.Series of numbers or text, and what was left out of it."""
+
+    def __init__(self, content, offset, layout):
+        self.layout, self.remarks = layout, []
+        start = offset
+        for _ in range(layout.start):
+            start = content.find(b"\n", start) + 1 or len(content)
+        self.before = content.count(b"\n", 0, start)
+        self.content = content[start:]
+        if layout.brackets:
+            self.content = self.content.translate(bytes.maketrans(b"[];", b"   "))
+        if self.content[:1] in (b"#", b"%") or b"\n#" in self.content or b"\n%" in self.content:
+            self.content = re.sub(rb"(?m)^[#%].*$", b"", self.content)
+        self._drop_unfinished_line()
+        self.decimal = self._decimal_sign()
+        check_size(self.content.count(b"\n"), layout.width)
+        frame = self._frame()
+        frame = frame[frame.notna().any(axis=1)] if frame.iloc[:, -1].isna().any() else frame
+        if frame.empty:
+            raise RecordingError("it has a header but no row below it.")
+        self.columns = self._columns(frame)
+        self._check_width(frame)
+
+    def read(self, roles):
+        """The columns with a role, as numbers; labels of trials as text."""
+        table = {name: self._numbers(name) for name in (*roles.states, *roles.inputs)}
+        if roles.trial is not None and roles.trial != roles.time:
+            labels = self.columns[roles.trial]
+            table[roles.trial] = (
+                labels.to_numpy(dtype=float)
+                if _holds_numbers(labels)
+                else np.array([label.strip() if isinstance(label, str) else "" for label in labels])
             )
-    return None, names, separator, start
+        if roles.time is not None:
+            table[roles.time] = self._times(roles.time)
+        return [table]
+
+    def locate(self, _, row):
+        """Where a row stands: "line 7"."""
+        return f"line {self._line(int(self._index[row]))}"
+
+    def dates(self):
+        """Name -> "s" of the columns of dates, which are read as seconds since the first."""
+        texts = {name: column for name, column in self.columns.items() if not _holds_numbers(column)}
+        return {name: "s" for name, column in texts.items() if dialect.is_date(_first(column))}
+
+    def _drop_unfinished_line(self):
+        """Leave out a last line that breaks off: a logger lost its power, or a file was cut."""
+        if self.content.endswith(b"\n") or b'"' in self.content[-_HEAD:]:
+            return
+        rest = self.content[self.content.rfind(b"\n") + 1 :]
+        cells = dialect.cells([rest.decode("utf-8", errors="replace")], self.layout.separator)
+        filled = [name for name in self.layout.names if name]
+        if cells and len(cells[0][1]) < len(filled) and self.content.count(b"\n") > 2:
+            line = self.before + self.content.count(b"\n") + 1
+            self.remarks.append(f"left out: line {line}, the last, which breaks off after {len(cells[0][1])} cells")
+            self.content = self.content[: -len(rest)]
+
+    def _decimal_sign(self):
+        """The layout's decimal sign, or what the whole file says if its first lines do not."""
+        layout = self.layout
+        if layout.decimal in (".", ",") or layout.separator == ",":
+            return layout.decimal if layout.decimal == "," else "."
+        if b"," not in self.content:
+            return "."
+        if _DECIMAL_COMMA.search(self.content):
+            return ","
+        cell = re.search(rb"[\d.]*\d,\d+", self.content)
+        if cell is None:
+            return "."
+        raise RecordingError(
+            f"cells such as {cell[0].decode()!r} could be thousands or have a decimal comma; write the numbers without "
+            "separators of thousands."
+        )
+
+    def _frame(self):
+        style = {"sep": self.layout.separator or r"\s+", "decimal": self.decimal, "na_values": _MISSING}
+        style |= {"header": None, "names": list(range(self.layout.width)), "keep_default_na": False, "engine": "c"}
+        for attempt in range(2):
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # of columns with numbers and text, which are text here
+                    frame = pd.read_csv(io.BytesIO(self.content), skipinitialspace=True, **style)
+            except pd.errors.EmptyDataError as error:
+                raise RecordingError("it has a header but no row below it.") from error
+            except (pd.errors.ParserError, ValueError, OverflowError) as error:
+                cause = one_line(error)
+            else:
+                if isinstance(frame.index, pd.RangeIndex):
+                    return frame
+                cause = "its rows have different numbers of cells"
+            rows = self._rows(self.layout.width)
+            if attempt:
+                break
+            text = io.StringIO()  # some rows end with a separator and some do not
+            csv.writer(text, delimiter=self.layout.separator or " ", lineterminator="\n").writerows(rows)
+            self.content = text.getvalue().encode()
+        raise RecordingError(f"it is no table ({cause}).")
+
+    def _columns(self, frame):
+        """Name -> column, without those that are (nearly) empty or there twice, and without a rest of text below."""
+        frame = self._without_rest(frame)
+        self._index, columns, few = frame.index, {}, []
+        for i, name in enumerate(self.layout.names):
+            column = frame[i]
+            if not _holds_numbers(column) and dialect.is_number(_first(column)):  # exponents with D, a rest cut off
+                numbers, _, wrong = _converted(column, self.decimal)
+                column = column if wrong else pd.Series(numbers, column.index)
+            count = int(column.count()) if column.hasnans else len(column)
+            if count <= _FEW * len(column) and not guess_role(name):
+                few += [name if name != str(i + 1) and not name.startswith("column ") else str(i + 1)] if count else []
+                continue
+            if name in columns and not columns[name].equals(column):
+                raise RecordingError(f"the header has the name {name!r} twice; rename one.")
+            if name in columns:
+                self.remarks.append(f"left out: the second column {name}, the same as the first")
+            columns.setdefault(name, column)
+        if few:
+            self.remarks.append(f"left out: {', '.join(few)}, nearly empty")
+        if not columns:
+            raise RecordingError("it has no rows of numbers.")
+        return columns
+
+    def _without_rest(self, frame):
+        """The rows without those at the end that hold no number, such as the last words of a logger."""
+        end = len(frame)
+        while end > 1 and not any(map(_is_number, frame.iloc[end - 1])):
+            end -= 1
+        if end == len(frame):
+            return frame
+        rest = " ".join(str(cell) for cell in frame.iloc[end] if cell == cell)
+        lines = f"line {self._line(int(frame.index[end]))}"
+        lines += f" and {len(frame) - end - 1} below it" if end + 1 < len(frame) else ""
+        self.remarks.append(f"left out: {lines}, no numbers: {rest[:40]!r}")
+        return frame.iloc[:end]
+
+    def _check_width(self, frame):
+        """An error if a row has too few cells: pandas fills it with missing values."""
+        last = max(i for i, name in enumerate(self.layout.names) if name in self.columns)
+        column = frame[last]
+        if column.hasnans:
+            self._rows(last + 1)
+
+    def _rows(self, needed):
+        """The rows as lists of cells, cut to the table's width; an error at the first that is too short or too long."""
+        rows, width = [], self.layout.width
+        above = "header has" if self.layout.named else "rows above have"
+        for line, row in self._numbered():
+            if len(row) > width and not any(cell.strip() for cell in row[width:]):
+                row = row[:width]
+            if not needed <= len(row) <= width and any(map(_is_number, row)):
+                advice = "repair the line, or see whether the file is whole"
+                if self.layout.separator == "," and len(row) >= 2 * width - 1:
+                    advice = "is the comma the decimal sign too? Export with ';' between cells"
+                raise RecordingError(f"line {line}: it has {len(row)} cells but the {above} {width}; {advice}.")
+            rows.append(row)
+        return rows
+
+    def _numbered(self):
+        """(line of the file, cells) of every row that is not blank."""
+        lines = io.StringIO(self.content.decode("utf-8", errors="replace"), newline="")
+        if self.layout.separator is None:
+            yield from ((self.before + k, line.split()) for k, line in enumerate(lines, 1) if line.strip())
+            return
+        reader = csv.reader(lines, delimiter=self.layout.separator, strict=True)
+        try:
+            for row in reader:
+                if len(row) > 1 or (row and row[0].strip()):
+                    yield self.before + reader.line_num, row
+        except csv.Error as error:
+            cure = "look for a quotation mark that is not closed, or a line without end"
+            raise RecordingError(f"line {self.before + reader.line_num}: {error}; {cure}.") from error
+
+    def _line(self, row):
+        """The line of the file on which a row ends, both counted as pandas does."""
+        with contextlib.suppress(RecordingError):
+            for k, (line, _) in enumerate(self._numbered()):
+                if k == row:
+                    return line
+        return self.before + row + 1
+
+    def _numbers(self, name):
+        column = self.columns[name]
+        if _holds_numbers(column):
+            return column.to_numpy(dtype=float)
+        numbers, cells, wrong = _converted(column, self.decimal)
+        if wrong:
+            cell, line = cells[wrong[0]], self.locate(0, wrong[0])
+            what, cure = "no number", "repair it, leave it empty, or leave the column out by roles"
+            if self.decimal == "," and "." in cell:
+                what = "no number where others have a decimal comma"
+            elif re.fullmatch(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d*)?", cell):
+                cure = "write it without separators of thousands"
+            raise RecordingError(f"{line}, column {name!r}: {cell[:40]!r} is {what}; {cure}.")
+        return numbers
+
+    def _times(self, name):
+        """Numbers, or seconds since the first of dates such as 2026-02-28 12:00:00.010."""
+        column = self.columns[name]
+        if _holds_numbers(column):
+            if column.dtype.kind in "iu" and len(column):  # nanoseconds since 1970: doubles would round them
+                return (column - column.iloc[0] if abs(int(column.iloc[0])) > 2**53 else column).to_numpy(dtype=float)
+            return column.to_numpy(dtype=float)
+        if not dialect.is_date(first := _first(column)):
+            return self._numbers(name)
+        times, start = np.full(len(column), np.nan), dialect.instant(first)
+        for k, cell in enumerate(column):
+            if isinstance(cell, str) and cell.strip().lower() not in dialect.MISSING:
+                try:
+                    times[k] = (dialect.instant(cell.strip()) - start).total_seconds()
+                except (ValueError, TypeError):
+                    what = f"{cell[:40]!r} is no time as {first!r} is"
+                    raise RecordingError(f"{self.locate(0, k)}, column {name!r}: {what}; repair it.") from None
+        return times
 
 
-def _separator(lines):
-    """The separator that gives all lines the same number of cells, more than one; None for blanks."""
-    for candidate in (";", "\t", ",", "|", None):
-        counts = {len(_cells(line, candidate)) for line in lines}
-        if len(counts) == 1 and counts.pop() > 1:
-            return candidate
-    most = max((";", "\t", ",", "|"), key=lines[0].count)
-    return most if most in lines[0] else ","
+def _holds_numbers(column):
+    return column.dtype.kind in "iufb"
 
 
-def _cells(line, separator):
-    if separator is None:
-        return line.split()
-    try:
-        return next(csv.reader([line.rstrip("\r")], delimiter=separator), [])
-    except csv.Error:
-        return []
-
-
-def _rows(text, separator, start):
-    """Rows that are neither blank nor comments, and the line on which each one ends."""
-    lines = itertools.islice(io.StringIO(text, newline=""), start, None)
-    rows, numbers = [], []
-    style = {"delimiter": separator, "strict": True} if separator else {"delimiter": " ", "skipinitialspace": True}
-    reader = csv.reader(lines, **style)
-    try:
-        for row in reader:
-            if any(row) and not (row[0].lstrip()[:1] in ("#", "%") and rows):
-                rows.append([cell for cell in row if cell] if separator is None else row)
-                numbers.append(start + reader.line_num)
-    except csv.Error as error:
-        cure = "look for a quotation mark that is not closed, or a line without end"
-        raise RecordingError(f"line {start + reader.line_num}: {error}; {cure}.") from error
-    return rows, numbers
-
-
-def _even(rows, lines, names, separator):
-    """Rows with as many cells as the header; a separator at the end of a line is allowed."""
-    width, even = len(names), []
-    for row, line in zip(rows, lines):
-        if len(row) > width and not any(cell.strip() for cell in row[width:]):
-            row = row[:width]
-        if len(row) != width:
-            advice = "repair the line, or see whether the file is whole"
-            if separator == "," and len(row) >= 2 * width - 1:
-                advice = "is the comma the decimal sign too? Export with ';' between cells"
-            raise RecordingError(f"line {line}: it has {len(row)} cells but the header has {width}; {advice}.")
-        even.append(row)
-    return even, lines
-
-
-def _names_and_units(cells, rows, lines):
-    """Names, and units from brackets after them or from a separate row below them."""
-    names, units = [], {}
-    cells = [cell.strip() for cell in cells]
-    matches = [_IN_BRACKETS.fullmatch(cell) for cell in cells]
-    bare = [
-        match[1].strip() if match and not match[2].strip().isdigit() else cell for cell, match in zip(cells, matches)
-    ]
-    for i, (cell, name, match) in enumerate(zip(cells, bare, matches)):
-        if bare.count(name) > 1:
-            name = cell
-        elif name != cell:
-            units[name] = match[2].strip()
-        names.append(name or f"column {i + 1}")
-    for name in names:
-        if names.count(name) > 1:
-            raise RecordingError(f"the header has the name {name!r} twice; rename one.")
-    below = [cell.strip() for cell in rows[0]] if len(rows) > 1 else []
-    missing = _MISSING - {"", "-", "--"}
-    if any(below) and not any(_is_number(cell) or _is_date(cell) or cell.lower() in missing for cell in below):
-        if sum(map(_is_number, map(str.strip, rows[1]))) * 2 >= len(names):  # else it is a table of text
-            units |= {name: cell.strip("[]() ") for name, cell in zip(names, below) if cell.strip("[]() -")}
-            del rows[0], lines[0]
-    return names, units
+def _first(column):
+    """The first cell with text in it, stripped."""
+    return next((cell.strip() for cell in column if isinstance(cell, str) and cell.strip()), "")
 
 
 def _is_number(cell):
-    try:
-        float(cell.strip().replace(",", ".", 1))
-    except ValueError:
-        return False
-    return cell.strip().lower() != "nan"
+    """Whether a cell of a frame or of a file holds a number."""
+    return dialect.is_number(cell.strip()) if isinstance(cell, str) else cell == cell
 
 
-def _is_date(cell):
-    try:
-        return bool(datetime.datetime.fromisoformat(cell.strip()))
-    except ValueError:
-        return False
+def _converted(column, decimal):
+    """(numbers, stripped cells, places of those that are neither a number nor missing) of a column of text."""
+    cells = ["" if cell != cell else str(cell).strip() for cell in column]
+    numbers = np.array([_number(cell, decimal) for cell in cells], dtype=float)
+    wrong = [k for k in np.flatnonzero(np.isnan(numbers)) if cells[k].lower() not in dialect.MISSING]
+    return numbers, cells, wrong
 
 
-def _decimal_comma(columns, separator):
-    """Whether cells read 0,5. Between commas, cells are quoted and 1,000 could be a thousand: only 0,5 is clear."""
-    cells = (cell.strip() for column in columns for cell in column)
-    if separator == ",":
-        return any(_DECIMAL_COMMA.fullmatch(cell) and re.match(r"[+-]?0?,", cell) for cell in cells if "," in cell)
-    return any(_DECIMAL_COMMA.fullmatch(cell) for cell in cells if "," in cell)
-
-
-def _numbers(name, cells, lines, comma):
-    joined = "".join(cells)
-    if not comma and "_" not in joined and joined.isascii():  # float() reads 1_000 and digits of all scripts
-        with contextlib.suppress(ValueError):
-            return np.array(list(map(float, cells)))
-    return np.array([_cell(name, cell.strip(), line, comma) for cell, line in zip(cells, lines)])
-
-
-def _cell(name, cell, line, comma):
-    if cell.lower() in _MISSING:
+def _number(cell, decimal):
+    """A stripped cell as a float, NaN if it is none."""
+    if (
+        not cell.isascii() or "_" in cell or (decimal == "," and "." in cell)
+    ):  # float reads 1_000, digits of all scripts
         return np.nan
+    plain = _FORTRAN.sub("e", cell)
     try:
-        if "_" in cell or not cell.isascii() or (comma and "." in cell):
-            raise ValueError
-        return float(cell.replace(",", ".") if comma else cell)
+        return float(plain.replace(",", ".") if decimal == "," else plain)
     except ValueError:
-        what = "no number where others have a decimal comma" if comma and "." in cell else "no number"
-        cure = "repair it, leave it empty, or leave the column out by roles"
-        raise RecordingError(f"line {line}, column {name!r}: {cell[:40]!r} is {what}; {cure}.") from None
-
-
-def _times(name, cells, lines, comma):
-    """Numbers, or seconds since the first of dates such as 2026-02-28 12:00:00.010."""
-    first = next((cell for cell in cells if cell.strip().lower() not in _MISSING), "")
-    if _is_number(first) or not _is_date(first):
-        return _numbers(name, cells, lines, comma)
-    origin, times = datetime.datetime.fromisoformat(first.strip()), []
-    for cell, line in zip(cells, lines):
-        try:
-            if cell.strip().lower() in _MISSING:
-                times.append(np.nan)
-            else:
-                times.append((datetime.datetime.fromisoformat(cell.strip()) - origin).total_seconds())
-        except (ValueError, TypeError):
-            what = f"{cell[:40]!r} is no time as {first!r} is"
-            raise RecordingError(f"line {line}, column {name!r}: {what}; repair it.") from None
-    return np.array(times)
+        return np.nan

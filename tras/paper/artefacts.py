@@ -1,7 +1,7 @@
 """What an artefact holds, for comparison: columns of numbers, or a small grey picture; and its copy in `reference/`.
 
 The committed file stands for a figure and its table. Of the rest `reference/` holds a copy as text: a table (.csv) as
-it is, thinned if it is long; a recording (.nc) as a thinned table; a model (.npz) with one number per line.
+it is, compressed if it is long; a recording (.nc) as a thinned table; a model (.npz) with one number per line.
 """
 
 import collections
@@ -9,7 +9,7 @@ import contextlib
 import csv
 import hashlib
 import json
-import shutil
+import lzma
 import subprocess
 import tempfile
 from pathlib import Path
@@ -18,8 +18,9 @@ from tras.workflow.files import replacing
 
 # No NumPy at the top: with equal bytes there is nothing to read.
 
-WHOLE = 100_000  # bytes; the copy of a longer table is thinned
-ROWS = 250  # rows, or elements of an array, that a thinned copy keeps
+PLAIN = 100_000  # bytes; a longer table is compressed
+PACKED = ".xz"
+ROWS = 250  # rows of a recording, or elements of an array, that its thinned copy keeps
 SMALLER = 4  # pixels of a picture to one, each way
 PICTURES = (".png", ".gif")
 DRAWINGS = (".pdf", ".svg")  # compared by their checksum only, and not in git
@@ -51,11 +52,17 @@ def read_columns(path: Path) -> dict:
 
 
 def _read_csv(path):
-    with open(path, encoding="utf-8", newline="") as file:
-        names, *rows = csv.reader(file, strict=True)
+    names, *rows = _fields(path)
     if not rows or any(len(row) != len(names) for row in rows):
         raise ValueError(f"its lines do not all have {len(names)} fields" if rows else "it has no rows")
     return {name: _typed(values) for name, values in zip(names, zip(*rows))}
+
+
+def _fields(path):
+    """The fields of each line, the heading first."""
+    opened = lzma.open if path.suffix == PACKED else open
+    with opened(path, "rt", encoding="utf-8", newline="") as file:
+        return list(csv.reader(file, strict=True))
 
 
 def _read_recording(path):
@@ -116,7 +123,13 @@ def copy_of(artefact: Path, reference: Path) -> Path | None:
     """The copy of an artefact in the folder ``reference``; None if git has it or only its checksum counts."""
     if artefact.parts[0] == COMMITTED or artefact.suffix in (*DRAWINGS, *PICTURES):
         return None
-    return reference / (artefact if artefact.suffix == ".csv" else artefact.with_name(artefact.name + ".csv"))
+    return stored(reference / (artefact if artefact.suffix == ".csv" else artefact.with_name(artefact.name + ".csv")))
+
+
+def stored(path: Path) -> Path:
+    """The compressed form of a table, if that is what there is; else the path itself."""
+    packed = path.with_name(path.name + PACKED)
+    return packed if packed.is_file() else path
 
 
 @contextlib.contextmanager
@@ -137,14 +150,27 @@ def committed(artefact: Path, checksum: str):
         yield path
 
 
-def write_copy(artefact: Path, copy: Path) -> None:
-    """Write the copy of an artefact; `ValueError` if the artefact cannot be read."""
+def write_copy(artefact: Path, reference: Path) -> Path | None:
+    """Write the copy of an artefact, if it has one: its path; `ValueError` if the artefact cannot be read."""
+    copy = copy_of(artefact, reference)
+    if copy is None:
+        return None
     columns = read_columns(artefact)
+    if artefact.suffix == ".csv":
+        return write_packed(reference / artefact, artefact.read_bytes())
     with replacing(copy) as temporary:
-        if artefact.suffix == ".csv" and artefact.stat().st_size <= WHOLE:
-            shutil.copyfile(artefact, temporary)
-        else:
-            _write_thinned(columns, temporary)
+        _write_thinned(columns, temporary)
+    return copy
+
+
+def write_packed(path: Path, content: bytes) -> Path:
+    """Write a table, compressed if it is long, in place of its other form: the path with its suffix."""
+    packed = path.with_name(path.name + PACKED)
+    final, other = (packed, path) if len(content) > PLAIN else (path, packed)
+    with replacing(final) as temporary:
+        temporary.write_bytes(lzma.compress(content, preset=9) if final == packed else content)
+    other.unlink(missing_ok=True)
+    return final
 
 
 def _write_thinned(columns, path):
@@ -172,8 +198,7 @@ def read_copy(path: Path) -> dict:
         If it cannot be read.
     """
     try:
-        with open(path, encoding="utf-8", newline="") as file:
-            names, *lines = csv.reader(file, strict=True)
+        names, *lines = _fields(path)
         if names != ["#array", "#row", "#value"]:
             columns = _read_csv(path)
             rows = columns.pop("#row", None)
@@ -183,7 +208,7 @@ def read_copy(path: Path) -> dict:
             groups[name][0].append(int(row))
             groups[name][1].append(value)
         return {name: (rows, _typed(values)) for name, (rows, values) in groups.items()}
-    except (OSError, ValueError, csv.Error) as error:
+    except (OSError, EOFError, ValueError, csv.Error, lzma.LZMAError) as error:
         raise ValueError(f"{path} cannot be read ({error}): git checkout {path}") from error
 
 

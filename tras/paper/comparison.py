@@ -8,6 +8,7 @@ import math
 import time
 import warnings
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -88,8 +89,11 @@ class Study:
     methods: tuple[str, ...] = tuple(METHODS)
 
 
-def jobs(study: Study) -> list[dict]:
-    """All cases of the study: dicts of ``method, input, noise, smoothed, fraction``."""
+def jobs(study: Study, only: list[dict] | None = None) -> list[dict]:
+    """All cases of the study: dicts of ``method, input, noise, smoothed, fraction``.
+
+    ``only``: those that fit one of some dicts option -> choices, for example ``[{"method": ("NARX",)}]``.
+    """
     for option, known in (("methods", METHODS), ("data_inputs", INPUTS)):
         for name in getattr(study, option):
             if name not in known:
@@ -101,12 +105,22 @@ def jobs(study: Study) -> list[dict]:
         changes += [{"fraction": fraction} for fraction in study.fractions]
         conditions += [{"input": name, **plain, **change} for change in changes]
     cases = [{"method": method, **condition} for condition in conditions for method in study.methods]
-    return [job for job in cases if job["input"] == "torque" or job["method"] not in NEEDS_TORQUES]
+    cases = [job for job in cases if job["input"] == "torque" or job["method"] not in NEEDS_TORQUES]
+    some = [{}] if only is None else only
+    return [job for job in cases if any(all(job[name] in choices for name, choices in one.items()) for one in some)]
+
+
+def recordings(data: Path) -> tuple[Recording, dict[str, Recording]]:
+    """Training and validation recordings of the study, as 01_data_generation leaves them in a folder."""
+    train, multisines = (Recording.read(data / f"{name}.nc") for name in ("train", "validation_multisine"))
+    fresh = {f"multisine {seed}": multisines[i] for i, seed in enumerate(multisines.attributes["seed"])}
+    return train, fresh | {name: Recording.read(data / f"validation_{name}.nc") for name in ("steps", "chirp")}
 
 
 def run(
-    study: Study, train: Recording, validation: dict[str, Recording], folder, *, processes: int = 2, progress=None
-) -> dict[str, pd.DataFrame]:
+    study: Study, train: Recording, validation: dict[str, Recording], folder, *, only: list[dict] | None = None,
+    processes: int = 2, progress=None,
+) -> dict[str, pd.DataFrame]:  # fmt: skip
     """The whole study; what is in the cache is not computed again.
 
     Parameters
@@ -118,6 +132,8 @@ def run(
         Name -> recording of one trajectory, none of it seen in ``train``.
     folder : str or Path
         Of the cache.
+    only : list of dict, optional
+        As in `jobs`.
     processes : int
     progress : text stream, optional
 
@@ -129,7 +145,7 @@ def run(
         noise and fraction. ``tuning``: every setting that was tried, its error, the best one. ``times``: CPU seconds of
         tuning, of the last fit and of its predictions, never the same twice.
     """
-    cases, packages = jobs(study), provenance.packages()
+    cases, packages = jobs(study, only), provenance.packages()
     in_jobs = ("methods", "fractions", "data_inputs", "noise")
     options = {name: value for name, value in vars(study).items() if name not in in_jobs}
     recordings = {"train": train, **validation}

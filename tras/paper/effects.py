@@ -6,7 +6,7 @@ import pandas as pd
 from tras.paper import readings
 
 # Options that change our numbers
-OPTIONS = ("input", "frequency_unit", "dictionary", "state", "horizon", "nrmse_range", "velocity_term")
+OPTIONS = tuple(option for option in readings.OPTIONS if option != "angle_names")
 SEEDS = ("train_seed", "draw", "validation_seed")
 ONCE = "horizon != 'free_run' or nrmse_range == 'validation_set'"  # the range of a free run is the same twice
 
@@ -135,7 +135,7 @@ def effects(table: pd.DataFrame, default: readings.Readings) -> pd.DataFrame:
     Parameters
     ----------
     table : pandas.DataFrame
-        From `tras.paper.grid.run`.
+        From `tras.paper.grid.run`; what was varied one at a time may stand below the full product.
     default : tras.paper.readings.Readings
 
     Returns
@@ -149,11 +149,33 @@ def effects(table: pd.DataFrame, default: readings.Readings) -> pd.DataFrame:
     for option in OPTIONS:
         points = runs[runs["horizon"] != "free_run"] if option == "nrmse_range" else runs
         others = [name for name in (*OPTIONS, *SEEDS) if name not in (option, "draw")]
+        base = getattr(default, option)
+        is_base = points[option] == base
+        sides = [points.loc[side, others].drop_duplicates() for side in (is_base, ~is_base)]
+        points = points.merge(sides[0].merge(sides[1]))  # both sides of a comparison were tried
         for angle in ("yaw", "pitch"):
             wide = points.groupby([*others, option])[angle].agg(lambda v: v.median(skipna=False)).unstack(option)
-            base = getattr(default, option)
             for choice in (name for name in readings.choices(option) if name != base and name in wide):
                 ratio = (wide[choice] / wide[base]).dropna()
                 quantiles = ratio.quantile([0.5, 0.05, 0.25, 0.75, 0.95])
                 rows.append((option, choice, angle, len(ratio), len(wide) - len(ratio), *quantiles))
     return pd.DataFrame(rows, columns="option choice angle pairs lost median q05 q25 q75 q95".split())
+
+
+def first(ranking: pd.DataFrame, angle_names: str) -> readings.Readings:
+    """The nearest reading under one naming of the angles, from `nearest`."""
+    row = ranking[ranking["angle_names"] == angle_names].iloc[0]
+    return readings.Readings(**{option: row[option] for option in readings.OPTIONS})
+
+
+def describe(reading, default: readings.Readings | None = None) -> str:
+    """A reading, as a row or dict, by what is not the default in it.
+
+    Examples
+    --------
+    >>> describe(readings.Readings(input="torque", start="hanging").model_dump())
+    'input torque, start hanging'
+    """
+    usual = (default or readings.Readings()).model_dump()
+    departures = [name for name in usual if name in reading and reading[name] != usual[name]]
+    return ", ".join(f"{name} {reading[name]}" for name in departures) or "default"

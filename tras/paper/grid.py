@@ -1,14 +1,15 @@
-"""Every combination of the readings (`tras.paper.readings`) simulated, identified and judged, over several seeds.
+"""The readings (`tras.paper.readings`) simulated, identified and judged, over several seeds.
 
-A recording is simulated once for each ``frequency_unit``, ``velocity_term`` and seed; ``input``, ``state`` and
+A recording is simulated once for each choice of the options in `SIMULATION` and seed; ``input``, ``state`` and
 ``dictionary`` select from it and give a fit, a *point*; ``horizon``, ``nrmse_range`` and ``angle_names`` only look at
-the fit in other ways. As in the paper a fit is by plain least squares, its field by (18), and trusted beyond the data.
+the fit in other ways. `points` is the full product of all options but those in `readings.SINGLE`, which `neighbours`
+changes one at a time. As in the paper a fit is by plain least squares, its field by (18), and trusted beyond the data.
 """
 
 import itertools
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,18 +24,23 @@ from tras.model import KoopmanModel
 # Names one by one, never the package as a whole: the cache asks which modules these results depend on.
 from tras.paper import readings, validation
 from tras.recording import Recording, join
-from tras.twin_rotor.closed_loop import INPUTS, REFERENCE_NAMES, simulate_closed_loop
+from tras.twin_rotor.closed_loop import INPUTS, PID, REFERENCE_NAMES, simulate_closed_loop
 from tras.twin_rotor.excitation import multisine
-from tras.twin_rotor.plant import STATE_NAMES, TORQUE_NAMES, PlantParameters, PrintedPlant
+from tras.twin_rotor.plant import STATE_NAMES, TORQUE_NAMES, PlantParameters, PrintedPlant, rest_point
 from tras.workflow import cache
 from tras.workflow.study import compute, each
 
 STATES = {"four_states": (None, 0), "delayed_angles": (("phi", "psi"), 1)}  # channels, delays
 PLANTS = {"corrected": PlantParameters, "as_printed": PrintedPlant}
+FACTORS = {"half": 0.5, "double": 2.0, "zero": 0.0, "less": 0.8, "more": 1.2}  # of one lumped parameter
+GAINS = {
+    "default": {}, "half_frequency": {"frequency": 2.0}, "twice_frequency": {"frequency": 8.0},
+    "less_damping": {"damping": 0.5},
+}  # fmt: skip
 FREQUENCY = {"rad/s": 1.0, "Hz": 2 * math.pi}  # factor to rad/s
 RANGES = {"validation_set": "all", "trajectory": "trajectory"}
 DRAWN = ("gaussian", "gaussian28")  # dictionaries with random centres
-SIMULATION = ("frequency_unit", "velocity_term")
+SIMULATION = ("frequency_unit", "velocity_term", "start", "gains", "plant")
 FIT = (*SIMULATION, "input", "state", "dictionary")
 EXPERIMENT = ("duration", "sampling_time", "max_frequency", "peak", "max_correlation")  # what recordings depend on
 
@@ -71,34 +77,48 @@ def dictionary(name: str, draw: int = 0):
 
 
 def points(study: Study, only: dict | None = None) -> list[dict]:
-    """All fits of the grid, or those of some choices: dicts with the options in `FIT`, ``train_seed`` and ``draw``.
+    """All fits of the full product, or those of some choices: dicts with the options in `FIT`, ``train_seed, draw``.
 
-    ``only`` is a dict option -> choices, for example ``{"input": ["torque"]}``.
+    ``only`` is a dict option -> choices, for example ``{"input": ["torque"]}``. The options in `readings.SINGLE` have
+    their default unless they are in it.
     """
-    choices = {option: readings.choices(option) for option in FIT}
+    choices = {option: readings.choices(option)[: 1 if option in readings.SINGLE else None] for option in FIT}
     for option, some in (only or {}).items():
         if option not in choices:
             known = ", ".join(FIT)
             raise readings.ReadingError(f"only names {option!r}, which makes no other fit: choose among {known}.")
         choices[option] = [getattr(readings.Readings(**{option: choice}), option) for choice in some]
-    result = []
-    for combination in itertools.product(*choices.values()):
-        options = dict(zip(FIT, combination))
-        draws = study.centre_draws if options["dictionary"] in DRAWN else study.centre_draws[:1]
-        result += [{**options, "train_seed": seed, "draw": draw} for seed in study.train_seeds for draw in draws]
-    return result
+    return [point for choice in itertools.product(*choices.values()) for point in _seeds(study, dict(zip(FIT, choice)))]
 
 
-def run(study: Study, folder, *, only: dict | None = None, processes: int = 2, progress=None):
-    """The whole grid, or a part of it.
+def neighbours(study: Study, bases: list[readings.Readings]) -> list[dict]:
+    """The fits of readings that differ from one of ``bases`` in one option of `readings.SINGLE`; dicts, as `points`."""
+    combinations = [
+        base.replaced(**{option: choice}).model_dump(include=set(FIT))
+        for base in bases
+        for option in readings.SINGLE
+        for choice in readings.choices(option)
+        if choice != getattr(base, option)
+    ]
+    unique = list(dict.fromkeys(tuple(combination[option] for option in FIT) for combination in combinations))
+    return [point for choice in unique for point in _seeds(study, dict(zip(FIT, choice)))]
+
+
+def _seeds(study, options):
+    draws = study.centre_draws if options["dictionary"] in DRAWN else study.centre_draws[:1]
+    return [{**options, "train_seed": seed, "draw": draw} for seed in study.train_seeds for draw in draws]
+
+
+def run(study: Study, cases: list[dict], folder, *, processes: int = 2, progress=None):
+    """Fits and judges points of the grid.
 
     Parameters
     ----------
     study : Study
+    cases : list of dict
+        From `points` or `neighbours`.
     folder : str or Path
         Of the cache, for one run at a time. What is there is not computed again.
-    only : dict, optional
-        As in `points`.
     processes : int
     progress : text stream, optional
         Where a progress bar goes, for example ``sys.stderr``; none without it.
@@ -112,7 +132,7 @@ def run(study: Study, folder, *, only: dict | None = None, processes: int = 2, p
     counts : dict
         ``computed, cached``: points whose fit was computed, or found in the cache.
     """
-    code, cases = cache.code_digest("tras.paper.grid"), points(study, only)
+    code = cache.code_digest("tras.paper.grid")
     names = [name for name in vars(study) if name not in ("train_seeds", "centre_draws")]  # a point has its own
     about = cache.plain({name: getattr(study, name) for name in names})
     shared, executor = (study, Path(folder), code), {"progress": progress or False, "processes": processes}
@@ -142,15 +162,64 @@ def run(study: Study, folder, *, only: dict | None = None, processes: int = 2, p
     return pd.DataFrame([row for part in parts for row in part]), counts
 
 
+def transient(study: Study, cases: list[dict], skip: float, folder, *, processes: int = 2, progress=None):
+    """What the start of the experiment does to the errors over windows, through the fit and through the judgement.
+
+    Parameters
+    ----------
+    study, cases, folder, processes, progress
+        As for `run`.
+    skip : float
+        Seconds at the start of each recording that are left out.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row per point, validation seed, pair of parts and angle: the options of the point, ``fit_from, judged_from``
+        (0 or ``skip``, in s), ``validation_seed, angle, nrmse`` (percent, range of the validation set), ``diverged``.
+
+    Raises
+    ------
+    ValueError
+        If less than a trajectory or a window would be left.
+    """
+    left = study.duration - skip
+    if not 0 < skip or left < max(study.trajectory, study.window):
+        raise ValueError(f"skip is {skip:g} s; give a part of the {study.duration:g} s that leaves a window.")
+    code = cache.code_digest("tras.paper.grid")
+    names = [name for name in vars(study) if name not in ("train_seeds", "centre_draws")]
+    about = cache.plain({name: getattr(study, name) for name in names})
+    options = {"processes": processes, "progress": progress or False, "folder": folder, "code": code}
+    keys = [{**about, **point, "skip": skip} for point in cases]
+    shared = (study, Path(folder), code, skip)
+    values, _ = compute(_transient, cases, shared, keys=keys, title="start", kind="transient", **options)
+    return pd.DataFrame([{**point, **row} for point, rows in zip(cases, values) for row in rows])
+
+
 # --- the parts --------------------------------------------------------------------------------------------------------
 
 
-def simulate(study: Study, frequency_unit: str, velocity_term: str, seed: int) -> Recording:
-    """One recording of the experiment under two readings, all channels."""
-    band = [FREQUENCY[frequency_unit] * f for f in study.max_frequency]
-    rng, dt = np.random.default_rng(seed), study.sampling_time
+def rig(reading: dict) -> PlantParameters:
+    """The plant of a reading, from its ``velocity_term`` and ``plant``.
+
+    Examples
+    --------
+    >>> rig({"velocity_term": "corrected", "plant": "K_psi_double"}).K_psi
+    0.006
+    """
+    parameters = PLANTS[reading["velocity_term"]]()
+    name, _, word = reading["plant"].rpartition("_")
+    return replace(parameters, **{name: FACTORS[word] * getattr(parameters, name)}) if name else parameters
+
+
+def simulate(study: Study, reading: dict, seed: int) -> Recording:
+    """One recording of the experiment, all channels; of the reading the options in `SIMULATION` count."""
+    band = [FREQUENCY[reading["frequency_unit"]] * f for f in study.max_frequency]
+    rng, dt, plant = np.random.default_rng(seed), study.sampling_time, rig(reading)
     reference = multisine(study.duration, dt, band, study.peak, rng, max_correlation=study.max_correlation)
-    return simulate_closed_loop(reference, dt, PLANTS[velocity_term]())
+    x0 = {"on_reference": None, "hanging": rest_point(plant), "zero": np.zeros(4)}[reading["start"]]
+    controllers = PID.defaults(plant, **GAINS[reading["gains"]])
+    return simulate_closed_loop(reference, dt, plant, controllers=controllers, x0=x0)
 
 
 def training(study: Study, recording: Recording, point: dict) -> Recording:
@@ -239,9 +308,10 @@ def judge_free_runs(point: dict, fields: list[dict], truths: list[dict]) -> list
 # --- what a process does of a run -------------------------------------------------------------------------------------
 
 
-def _simulated(study, folder, code, frequency_unit, velocity_term, seed):
+def _simulated(study, folder, code, *choices):
     """Have a recording in the cache."""
-    _recording(study, folder, code, {"frequency_unit": frequency_unit, "velocity_term": velocity_term}, seed)
+    *simulation, seed = choices
+    _recording(study, folder, code, dict(zip(SIMULATION, simulation)), seed)
 
 
 def _recording(study, folder, code, point, seed):
@@ -251,7 +321,7 @@ def _recording(study, folder, code, point, seed):
     path = cache.path_for(folder, "recording", options, code, ".npz")
     arrays = cache.read_arrays(path)
     if arrays is None:
-        recording = simulate(study, **simulation, seed=seed)
+        recording = simulate(study, simulation, seed)
         arrays = {"states": recording.states, "inputs": recording.inputs}
         cache.write_arrays(path, **arrays)
     names = {"state_names": STATE_NAMES, "input_names": REFERENCE_NAMES + TORQUE_NAMES}
@@ -270,6 +340,29 @@ def _fitted(study, folder, code, point):
     rows = judge_windows(study, model, _validation(study, folder, code, point))
     about = {"N": len(model.names_), "condition": model.condition_number, "field": validation.field_of(model)}
     return {"outcome": outcome, "rows": rows, **about}
+
+
+def _transient(study, folder, code, skip, point):
+    """A point fitted to the whole training recording and to its rest, each judged on whole recordings and rests."""
+    train = select(_recording(study, folder, code, point, point["train_seed"]), point)
+    validation_set = _validation(study, folder, code, point)
+    rows = []
+    for fit_from in (0.0, skip):
+        model, _ = fit(point, training(study, _from(train, fit_from), point))
+        for judged_from in (0.0, skip) if model else ():
+            judged = {seed: _from(recording, judged_from) for seed, recording in validation_set.items()}
+            for row in judge_windows(study, model, judged):
+                if (row["horizon"], row["nrmse_range"]) == ("window", "validation_set"):
+                    labels = {"fit_from": fit_from, "judged_from": judged_from}
+                    values = {name: row[name] for name in ("validation_seed", "angle", "nrmse", "diverged")}
+                    rows.append(labels | values | {"nrmse": math.nan if row["nrmse"] is None else row["nrmse"]})
+    return rows
+
+
+def _from(recording, seconds):
+    """The recording from a time on."""
+    first = round(seconds / recording.dt)
+    return recording.with_data([recording.states[0][first:]], [recording.inputs[0][first:]])
 
 
 def _run_freely(study, folder, code, group):

@@ -2,8 +2,11 @@
 
 ``value(FILE, WHAT, COLUMN=VALUE, ...)`` looks into ``data/NAME.csv`` or ``figures/NAME.csv``. ``WHAT`` is a column, of
 which the choices must leave one row, or the min, max, median, mean, sum, count or largest (in size) of one, like
-``median(nrmse)``. ``parameter(STAGE, NAME)`` is a parameter that this stage ran with, ``claims.NAME`` a limit of
-`tras.paper.claims`; ``| number(FORMAT)`` formats any of them as Python does.
+``median(nrmse)``; ``method at min(nrmse)`` is the method of the row that has the smallest. A value may be ``">0.5"``,
+``"<0.5"``, or a list of which any counts. ``parameter(STAGE, NAME)`` is a parameter that this stage ran with;
+``| number(FORMAT)`` formats any of them as Python does, and ``{% if ... %}`` lets the tables decide what is said.
+
+The report, the conclusions of the notebooks and the test of the prose (`tests/paper/test_prose.py`) all use this.
 """
 
 import functools
@@ -16,10 +19,6 @@ from typing import NamedTuple
 import jinja2
 from jinja2.sandbox import SandboxedEnvironment
 
-from tras.paper import claims
-
-_LIMITS = {name: limit for name, limit in vars(claims).items() if name.isupper()}
-
 
 class Lacking(ValueError):
     """Something that a section needs is not there; the sentence says what, and which command makes it."""
@@ -30,7 +29,7 @@ class Sources(NamedTuple):
 
     data: Path
     figures: Path
-    build: Path
+    build: Path = Path("build/paper")
 
     @property
     def command(self):
@@ -46,7 +45,7 @@ class Sources(NamedTuple):
         return path
 
 
-def render(text: str, sources: Sources) -> str:
+def render(text: str, sources: Sources, **names) -> str:
     """``text`` with every lookup replaced by its number, which no Markdown in a table can break out of.
 
     Parameters
@@ -54,6 +53,8 @@ def render(text: str, sources: Sources) -> str:
     text : str
         For example ``{{ value("data/metrics.csv", "max(nrmse)", angle="yaw", kind="window") | number(".3g") }} %``.
     sources : Sources
+    **names
+        What else the text may name, such as a notebook's parameters.
 
     Raises
     ------
@@ -63,8 +64,7 @@ def render(text: str, sources: Sources) -> str:
         If a lookup is not understood, or the file is damaged.
     """
 
-    def value(name, what, **where):
-        return _total(_selected(frame(name, sources), where, name), what, name)
+    value = functools.partial(_value, sources)
 
     def parameter(stage, name):
         parameters = record(sources.path(f"build/{stage}.json")).get("parameters", {})
@@ -73,10 +73,46 @@ def render(text: str, sources: Sources) -> str:
         return parameters[name]
 
     try:
-        return _ENVIRONMENT.from_string(text).render(value=value, parameter=parameter, claims=_LIMITS)
-    except (jinja2.TemplateError, TypeError) as error:
+        return _ENVIRONMENT.from_string(text).render(names, value=value, parameter=parameter)
+    except (jinja2.TemplateError, TypeError, ZeroDivisionError) as error:
         usage = "{{ value(FILE, WHAT, COLUMN=VALUE) | number(FORMAT) }}"
         raise ValueError(f"a lookup is not understood ({error}): write {usage}.") from None
+
+
+def conclusions(text: str, sources: Sources, tables: dict[str, str], **names) -> str:
+    """The points of a list, each with its numbers; of one whose numbers these tables lack, what is lacking.
+
+    Parameters
+    ----------
+    text : str
+        Markdown: points that begin with ``* `` at the margin.
+    sources : Sources
+    tables : dict of str to str
+        Name in the text -> file: with ``{"noise": "data/noise.csv"}``, ``noise(WHAT, COLUMN=VALUE)`` is short for
+        ``value("data/noise.csv", WHAT, COLUMN=VALUE)``, and ``noise.pair(WHAT, COLUMN=VALUE)`` for yaw / pitch, the
+        same with ``angle="yaw"`` and with ``angle="pitch"``.
+    **names
+        As in `render`.
+
+    Raises
+    ------
+    ValueError
+        As `render`, but for what is lacking.
+
+    Examples
+    --------
+    >>> text = "* {% if error < 5 %}Good{% else %}Poor{% endif %}: {{ error | number('.1f') }} %."
+    >>> conclusions(text, Sources(Path("data"), Path("figures")), {}, error=4.06)
+    '* Good: 4.1 %.'
+    """
+    names |= {name: Table(sources, file) for name, file in tables.items()}
+    points = []
+    for point in re.split(r"^(?=\* )", text.strip(), flags=re.MULTILINE):
+        try:
+            points.append(" ".join(render(point, sources, **names).split()))
+        except Lacking as lack:
+            points.append(f"* *Nothing to conclude here:* {lack}")
+    return "\n".join(dict.fromkeys(filter(None, points)))  # what is lacking is said once
 
 
 def number(value, spec: str = "g") -> str:
@@ -154,6 +190,24 @@ def table(spec: dict, sources: Sources) -> tuple[list[str], list[list[str]], int
 # --- parts ------------------------------------------------------------------------------------------------------------
 
 
+class Table(NamedTuple):
+    """A table of the sources as a function of a text."""
+
+    sources: Sources
+    file: str
+
+    def __call__(self, what, **where):
+        return _value(self.sources, self.file, what, **where)
+
+    def pair(self, what, spec="#.2g", **where):
+        """Yaw / pitch, formatted."""
+        return " / ".join(number(self(what, angle=angle, **where), spec) for angle in ("yaw", "pitch"))
+
+
+def _value(sources, name, what, **where):
+    return _total(_selected(frame(name, sources), where, name), what, name)
+
+
 def _summary(rows, spec, name):
     """What stands across, and for each group of rows its key and the numbers below that."""
     for column in (*spec["rows"], *([spec["across"]] if "across" in spec else [])):
@@ -183,10 +237,12 @@ def _selected(rows, where, name):
     """The rows that hold these values; numbers compare as numbers, and ``>0.5`` as a value means larger ones."""
     for column, value in where.items():
         cells = _column(rows, column, name)
-        if str(value).startswith(">"):
-            rows = rows[cells > float(value[1:])]
+        if isinstance(value, str) and value[:1] in ("<", ">"):
+            limit = float(value[1:])
+            rows = rows[cells > limit if value[0] == ">" else cells < limit]
         else:
-            rows = rows[cells == float(value) if cells.dtype.kind in "if" else cells.astype(str) == str(value)]
+            kind = float if cells.dtype.kind in "if" else str
+            rows = rows[cells.astype(kind).isin([kind(v) for v in (value if isinstance(value, list) else [value])])]
     return rows
 
 
@@ -197,13 +253,15 @@ def _column(rows, column, name):
 
 
 def _total(rows, what, name):
-    """A column's only value, or ``median(column)`` and the like."""
-    total, column = re.fullmatch(r"(?:(\w+)\()?([^()]+)\)?", what).groups()
+    """A column's only value, ``median(column)`` and the like, or ``other at min(column)``."""
+    other, total, column = re.fullmatch(r"(?:(\w+) at )?(?:(\w+)\()?([^()]+)\)?", what).groups()
     values = _column(rows, column, name)
     if total == "count":
         return int(values.count())
-    if not len(values) or not total and len(values) > 1:
+    if not (values.count() if other else len(values)) or not total and len(values) > 1:
         raise Lacking(f"{name} has {len(values)} rows for one number, `{what}`: was it made with other parameters?")
+    if other:
+        return _column(rows, other, name)[values.idxmin() if total == "min" else values.idxmax()]
     if total == "largest":
         return values.abs().max()
     return values.agg(total) if total else values.iloc[0]

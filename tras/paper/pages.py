@@ -12,18 +12,18 @@ from tras.paper import tables
 from tras.workflow.arguments import did_you_mean
 from tras.workflow.files import write_between
 
-TABLES = {  # name -> page, CSV file of its rows, function of its module for Markdown, the one for a terminal
-    "table": ("README.md", "figures/table.csv", "markdown", "text"),
-    "comparison": ("README.md", "data/comparison.csv", "methods_markdown", "methods_markdown"),
-    "claims": ("README.md", "data/claims.csv", "markdown", "text"),
-    "errors": ("docs/paper.md", "", "markdown", "markdown"),
-    "readings": ("docs/paper.md", "", "markdown", "markdown"),
+TABLES = {  # name -> page, CSV files of its rows, function of its module for Markdown, the one for a terminal
+    "findings": ("README.md", ("data/claims.csv", "figures/readings_nearest.csv"), "findings", "findings"),
+    "table": ("README.md", ("figures/table.csv",), "first_markdown", "text"),
+    "verdicts": ("README.md", ("data/claims.csv",), "verdicts", "text"),
+    "errors": ("docs/paper.md", (), "markdown", "markdown"),
+    "readings": ("docs/paper.md", (), "markdown", "markdown"),
 }
 
 
 def _module(name):
     """The module of a table, imported when it is asked for: `make all` prints one, and fast."""
-    if name == "claims":
+    if name in ("findings", "verdicts"):
         from tras.paper import claims as module
     elif name == "errors":
         from tras.paper import errata as module
@@ -53,14 +53,14 @@ def main(arguments: list[str] | None = None) -> int:
         for name in options.names or TABLES:
             if name not in TABLES:
                 raise ValueError(f"there is no table {name!r}{did_you_mean(name, TABLES)}")
-            page, file, as_markdown, as_text = TABLES[name]
+            page, files, as_markdown, as_text = TABLES[name]
             page, rows = options.pages / page, []
-            if file:
+            for file in files:
                 folder, _, file = file.partition("/")
                 path = getattr(options, folder) / file
                 if not path.is_file():
                     raise ValueError(f"{path} does not exist; `make all` makes it.")
-                rows = [tables.read(path)]
+                rows.append(tables.read(path))
             content = getattr(_module(name), as_markdown)(*rows)
             if options.write:
                 write_between(page, *markers(name), content)

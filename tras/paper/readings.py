@@ -1,6 +1,6 @@
 """What the paper's text leaves open, as named options with a default; a `Readings` holds one choice per option.
 
-`tras.paper.grid` studies all combinations.
+`tras.paper.grid` studies all combinations, but ``gains`` and ``plant`` one at a time round the nearest readings.
 """
 
 from pathlib import Path
@@ -9,6 +9,7 @@ from typing import Literal
 import pandas as pd
 import pydantic
 
+from tras.twin_rotor.plant import LUMPED
 from tras.workflow.arguments import did_you_mean
 from tras.workflow.files import markdown_table
 from tras.workflow.parameters import ParameterError, parse_yaml
@@ -79,6 +80,39 @@ OPTIONS = {
             "as_printed": "the square of the yaw ANGLE, which creates energy",
         },
     ),
+    "start": (
+        "For data collection of TRAS, we consider the SIMULINK model of TRAS.",
+        {
+            "on_reference": "at rest on the first reference with balanced integrators, so that nothing has to settle; "
+            "the paper does not say from which state it starts",
+            "hanging": "at the rest point, integrators empty: the beam first swings up to its reference",
+            "zero": "all states zero, as a Simulink model starts when nobody sets it, integrators empty",
+        },
+    ),
+    "gains": (
+        "The TRAS is highly nonlinear model, so I designed PID controller for TRAS to obtain the appropriate data for "
+        "TRAS.",
+        {
+            "default": "poles at 4 rad/s with damping 0.9, from the inertias of the plant; the paper prints no gain",
+            "half_frequency": "poles at 2 rad/s, damping 0.9",
+            "twice_frequency": "poles at 8 rad/s, damping 0.9",
+            "less_damping": "poles at 4 rad/s, damping 0.5",
+        },
+    ),
+    "plant": (
+        "For comprehensive parameter values, reference [11] provides detailed information.",
+        {
+            "TRAS-A": "the set of this repository; reference [11] was not to be had",
+            "K_psi_half": "the cable's spring, good to a factor of two, half as stiff",
+            "K_psi_double": "the spring twice as stiff",
+            "K_psi_zero": "no spring at all",
+            **{
+                f"{name}_{word}": f"{name} 20 % {change}"
+                for name in LUMPED
+                for word, change in (("less", "smaller"), ("more", "larger"))
+            },
+        },
+    ),
     "angle_names": (
         "Additionally, we focus on two outputs: yaw angle  $(\\phi)$  and pitch angle  $(\\psi)$ , measured in "
         "radians.",
@@ -88,6 +122,9 @@ OPTIONS = {
         },
     ),
 }
+
+
+SINGLE = ("gains", "plant")  # what acts on the rig and its controller alone: varied one at a time, not in the product
 
 
 class ReadingError(ValueError):
@@ -126,7 +163,7 @@ Readings.__doc__ = """One choice for every open point of the text, frozen and ch
 
 Parameters
 ----------
-input, frequency_unit, dictionary, state, horizon, nrmse_range, velocity_term, angle_names : str
+input, frequency_unit, dictionary, state, horizon, nrmse_range, velocity_term, start, gains, plant, angle_names : str
     See `OPTIONS`, or print `table()`.
 
 Raises

@@ -19,6 +19,7 @@ from tras.workflow.page import escape
 
 _MARKS = (("✓", "reproduced"), ("◐", "named"), ("✗", "not"), ("?", "uncheckable"), ("◑", "named"))
 _SIGNS = dict(zip(claims.VERDICTS, _MARKS))
+_LIMITS = {name: limit for name, limit in vars(claims).items() if name.isupper()}  # `claims.NAME` in the story
 _ANEW = "delete it, and make all makes it anew."
 
 
@@ -48,7 +49,7 @@ def report(story: str, sources: Sources) -> tuple[str, list[str]]:
         heading, _, text = section.partition("\n")
         bodies.append(convert(heading))
         try:
-            bodies.append(convert(lookups.render(text, sources)))
+            bodies.append(convert(lookups.render(text, sources, claims=_LIMITS)))
         except Lacking as lack:
             lacking.append(str(lack))
             bodies.append(f'<p class="lacking">{page.inline(convert, f"This part is not shown: {lack}")}</p>\n')
@@ -74,7 +75,8 @@ def _figure(spec, sources, inline):
     path = page.picture(sources.figures, spec["name"])
     if path is None:
         raise Lacking(f"figures/{spec['name']}.svg is not there: {sources.command} makes it.")
-    return page.figure(path, " ".join(spec["alt"].split()), inline(spec["caption"]), f"fig-{spec['name']}")
+    alt, caption = " ".join(spec["alt"].split()), inline(spec["caption"])
+    return page.figure(path, alt, caption, f"fig-{spec['name']}", wide=spec.get("wide", False))
 
 
 def _table(spec, sources, inline):

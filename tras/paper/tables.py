@@ -8,6 +8,7 @@ import itertools
 import math
 import operator
 import statistics
+from numbers import Integral
 
 from tras.workflow.files import markdown_table
 
@@ -22,6 +23,13 @@ COLUMNS = {  # (input, model) -> heading
     ("torque", "mechanical"): "torque, mechanical",
 }
 _MISSING = "not given"
+_FIRST = [
+    ("window", "nrmse", "yaw"),
+    ("window", "nrmse", "pitch"),
+    ("window", "bfr", "yaw"),
+    ("window", "bfr", "pitch"),
+]
+_FIRST += [("free run", "nrmse", "pitch")]  # the rows that tell most, for the README
 _BOUND = "grey box"  # knows the equations: it stands in a sentence below the table of methods
 _METHOD_COLUMNS = (("reference", "window"), ("torque", "window"), ("torque", "free run"))
 _METRICS = {"nrmse": "NRMSE (%)", "enr": "Enr", "bfr": "BFR (%)", "condition": "condition number of the liftings"}
@@ -73,9 +81,33 @@ def read(path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+def shown(table, spec: str = ".3g"):
+    """A DataFrame of numbers as text for a notebook: a dash where there is none, counts and words as they are.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> shown(pd.DataFrame({"error": [0.12345, None], "windows": [1412, 83]})).to_numpy().tolist()
+    [['0.123', '1412'], ['–', '83']]
+    """
+    import pandas as pd
+
+    def text(value):
+        if pd.isna(value):
+            return "–"
+        return str(value) if isinstance(value, str | Integral) else format(value, spec)
+
+    return table.map(text)
+
+
 def markdown(rows: list[dict]) -> str:
     """The table paper against ours: one row per metric and angle, one column per source."""
     return markdown_table(_cells(rows))
+
+
+def first_markdown(rows: list[dict]) -> str:
+    """The five rows of it that tell most."""
+    return markdown_table(_cells([row for row in rows if (row["kind"], row["metric"], row["angle"]) in _FIRST], False))
 
 
 def text(rows: list[dict]) -> str:
@@ -85,7 +117,7 @@ def text(rows: list[dict]) -> str:
     return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in cells)
 
 
-def _cells(rows):
+def _cells(rows, divergence=True):
     """Rows of strings, the heading first."""
     numbers = ("horizon", "median", "lowest", "highest")
     rows = [row | {name: float(row[name] or "nan") for name in numbers} for row in rows]
@@ -98,7 +130,7 @@ def _cells(rows):
             label += f", {angle}, {group[0]['horizon']:g} {kinds[kind]}"
         by_source = {(row["input"], row["model"]): _number(row) for row in group}
         cells.append([label, *(by_source.get(source, _MISSING) for source in COLUMNS)])
-    for kind, words in kinds.items():
+    for kind, words in kinds.items() if divergence else ():
         ours = [row for row in rows if row["kind"] == kind and row["input"] != "paper"]
         counts = {(row["input"], row["model"]): f"{row['diverged']} of {row['windows']}" for row in ours}
         label = f"diverged, {ours[0]['horizon']:g} {words}"

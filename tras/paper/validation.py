@@ -126,7 +126,7 @@ def typical_window(windows: Recording, predicted: np.ndarray) -> int:
     return int(np.argsort(error, kind="stable")[(len(error) - 1) // 2])
 
 
-def overlay(window: Recording, predicted: dict[str, np.ndarray]) -> pd.DataFrame:
+def overlay(window: Recording, predicted: dict[str, np.ndarray], whole: Recording | None = None) -> pd.DataFrame:
     """Truth and predictions over one window, as the table behind Fig. 3.
 
     Parameters
@@ -134,17 +134,23 @@ def overlay(window: Recording, predicted: dict[str, np.ndarray]) -> pd.DataFrame
     window : Recording
         Of one trajectory.
     predicted : dict of str to (samples, n) ndarray
+    whole : Recording, optional
+        The recording that the window is part of.
 
     Returns
     -------
     pandas.DataFrame
-        ``time`` (s) and, in rad, ``phi_true, psi_true`` and ``phi_NAME, psi_NAME`` for each prediction.
+        ``time`` (s) and, in rad, ``phi_true, psi_true`` and ``phi_NAME, psi_NAME`` for each prediction; with ``whole``
+        also its range in every row, ``phi_low, phi_high, psi_low, psi_high``.
     """
     table = pd.DataFrame({"time": np.arange(window.lengths[0]) * window.dt})
     for channel in ANGLES.values():
         i = window.state_names.index(channel)
         for name, states in ({"true": window.states[0]} | predicted).items():
             table[f"{channel}_{name}"] = states[:, i]
+        if whole is not None:
+            values = np.concatenate(list(whole.states))[:, i]
+            table[f"{channel}_low"], table[f"{channel}_high"] = values.min(), values.max()
     return table
 
 

@@ -73,11 +73,15 @@ class PID:
         return cls(P=P, I=P * integral_rate, D=2 * damping * frequency * inertia, limits=limits)
 
     @classmethod
-    def defaults(cls, parameters: PlantParameters) -> tuple["PID", "PID"]:
-        """The project's pair (pitch, yaw). Yaw's inertia is the one at level beam, ``J + J_psi0``."""
+    def defaults(cls, parameters: PlantParameters, **placement) -> tuple["PID", "PID"]:
+        """The project's pair (pitch, yaw). Yaw's inertia is the one at level beam, ``J + J_psi0``.
+
+        ``frequency`` and ``damping`` of `pole_placement` may be given.
+        """
+        inertia, limits = parameters.J + parameters.J_psi0, parameters.u_psi_limits
         return (
-            cls.pole_placement(parameters.J_phi, parameters.u_phi_limits, integral_rate=1.0),
-            cls.pole_placement(parameters.J + parameters.J_psi0, parameters.u_psi_limits, integral_rate=0.5),
+            cls.pole_placement(parameters.J_phi, parameters.u_phi_limits, integral_rate=1.0, **placement),
+            cls.pole_placement(inertia, limits, integral_rate=0.5, **placement),
         )
 
 

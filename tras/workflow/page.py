@@ -21,7 +21,7 @@ STYLE = """\
 :root { color: #1a1a1a; background: #fff; font: 1.05rem/1.6 Georgia, "DejaVu Serif", serif; }
 * { box-sizing: border-box; }
 body { max-width: 64rem; margin: 0 auto; padding: 1rem 1rem 4rem; overflow-wrap: break-word; }
-main > *, main > article { max-width: 44rem; } main > .scroll { max-width: 100%; }
+main > *, main > article { max-width: 44rem; } main > .scroll, main > .wide { max-width: 100%; }
 h1, h2, h3, nav, table, .verdict { font-family: system-ui, "DejaVu Sans", sans-serif; }
 h1, h2, h3 { line-height: 1.25; }
 h1 { font-size: 1.9rem; }
@@ -36,6 +36,7 @@ nav > ul > li { break-inside: avoid; }
 nav ul { margin: .3rem 0; padding-left: 1.2rem; }
 figure { margin: 1.8rem 0; } figure img { display: block; width: 100%; max-width: 36rem; height: auto; }
 figcaption, caption { font: .92rem/1.45 Georgia, "DejaVu Serif", serif; text-align: left; color: #333; }
+figure.wide img { max-width: 62rem; }
 figcaption { max-width: 36rem; margin-top: .6rem; } caption { padding-bottom: .5rem; }
 caption > span { display: block; position: sticky; left: 0; max-width: min(42rem, calc(100vw - 2.2rem)); }
 .scroll { overflow-x: auto; margin: 1.5rem 0; }
@@ -63,7 +64,7 @@ article p { margin: .35rem 0; }
 :root { font-size: 10pt; } body { max-width: none; padding: 0; } .scroll, .equation { overflow: visible; }
   th[scope="row"], .prose td:last-child, .prose td { min-width: 0 !important; }
   table { font-size: 7pt; } th, td { padding: .15rem .3rem; white-space: normal !important; }
-  figure img { max-width: 28rem; } nav { display: none; }
+  figure img { max-width: 28rem; } figure.wide img { max-width: 100%; } nav { display: none; }
   figure, article, tr { break-inside: avoid; } h2, h3, caption { break-after: avoid; } a { color: inherit; }
 }
 """
@@ -111,8 +112,10 @@ def table(head: list, rows: list, caption: str, *, keys: int = 1, kind: str = "n
     )
 
 
-def figure(path: Path, alt: str, caption: str, identity: str) -> str:
+def figure(path: Path, alt: str, caption: str, identity: str, *, wide: bool = False) -> str:
     """A figure from a file ``path`` (.svg or .png), inside the page; ``caption`` is HTML, the others are text.
+
+    One of two columns is ``wide``, as wide as there is room, so that its small print can be read.
 
     A ValueError if the file is no picture of its kind.
     """
@@ -122,7 +125,8 @@ def figure(path: Path, alt: str, caption: str, identity: str) -> str:
     data = base64.b64encode(content).decode()
     size = f'width="{width:.0f}" height="{height:.0f}"'
     image = f'<img src="data:image/{kind};base64,{data}" {size} alt="{escape(alt)}" />'
-    return f'<figure id="{escape(identity)}">{image}\n<figcaption>{caption}</figcaption></figure>\n'
+    style = ' class="wide"' if wide else ""
+    return f'<figure id="{escape(identity)}"{style}>{image}\n<figcaption>{caption}</figcaption></figure>\n'
 
 
 def picture(folder: Path, name: str) -> Path | None:

@@ -97,12 +97,6 @@ def test_the_gif_has_all_frames_at_its_rate_and_the_same_bytes_again(tmp_path):
     assert np.abs(frames[6] - exact).mean() < 3  # of 255: 40 colours are enough
 
 
-def test_the_movie_needs_no_network():
-    page = animation.movie(animation.film(overlay(), rate=2), rate=2).to_jshtml()
-    assert page.count("data:image/png;base64") == 5
-    assert "<img" in page and 'src="http' not in page
-
-
 # --- phase portraits -------------------------------------------------------------------------------------------------
 
 
@@ -146,8 +140,18 @@ def test_a_portrait_holds_truth_models_and_the_distance_between_them(outcome, pa
     angle, rate = outcome.model.vector_field(x, [0.0, 0.0])[2:]
     columns = row[["d_angle", "d_rate", "error"]].astype(float)
     np.testing.assert_allclose(columns, [angle, rate, abs(rate - true[3])], rtol=1e-9)
-    low, high = outcome.model.x_offset_[2] + outcome.model.x_scale_[2] * np.array([-1, 1])
-    assert (table[table["plane"] == "yaw"]["angle"].min(), table[table["plane"] == "yaw"]["angle"].max()) == (low, high)
+
+
+def test_a_portrait_reaches_beyond_the_box_of_the_training_data(outcome):
+    """The box holds the data, which the model was fitted to; rates are shown over +-2 rad/s, angles over more."""
+    table, train = portraits.portrait(portraits.compared(outcome), points=5), explore.training(SMALL)
+    for plane, k in (("pitch", 0), ("yaw", 2)):
+        rows, data = table[table["plane"] == plane], np.concatenate(list(train.states))
+        for name, j in (("angle", k), ("rate", k + 1)):
+            low, high = (rows[f"{name}_{end}"].unique().item() for end in ("low", "high"))
+            np.testing.assert_allclose([low, high], [data[:, j].min(), data[:, j].max()], rtol=1e-9)
+            assert rows[name].min() < low and high < rows[name].max()
+        assert (rows["rate"].min(), rows["rate"].max()) == (-portraits.REACH, portraits.REACH)
 
 
 def test_a_model_without_a_field_is_replaced_and_refused():
@@ -172,4 +176,8 @@ def test_the_figure_has_a_column_for_each_model_and_one_scale_of_errors(outcome)
     titles = [axes.get_title(loc="left") for axes in figure.axes[:3]]
     assert titles == ["true", "Gaussian RBF", "mechanical"] and len(figure.axes) == 7
     meshes = [each for axes in figure.axes[:6] for each in axes.collections if type(each).__name__ == "QuadMesh"]
+    for panel in figure.axes[:6]:
+        (box,) = panel.patches[-1:]
+        plane = table[table["plane"] == ("pitch" if panel in figure.axes[:3] else "yaw")].iloc[0]
+        assert box.get_bbox().extents == pytest.approx(plane[["angle_low", "rate_low", "angle_high", "rate_high"]])
     assert len(meshes) == 4 and len({(mesh.norm.vmin, mesh.norm.vmax) for mesh in meshes}) == 1

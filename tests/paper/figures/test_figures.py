@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from tras import plotting
 from tras.explorer.figures import portrait_figure
-from tras.paper.figures import drawings, paper, readings, robustness
+from tras.paper.figures import comparison, drawings, paper, readings, robustness
 from tras.twin_rotor import drawing as rig
 
 FIGURES = ROOT / "figures"
@@ -50,6 +50,9 @@ DATA_FIGURES = {
     "excitation": paper.excitation_figure,
     "spectrum": paper.spectrum_figure,
     "horizon": paper.horizon_figure,
+    "comparison_window": comparison.window_figure,
+    "comparison_horizon": comparison.horizon_figure,
+    "comparison_data": comparison.data_figure,
     "readings_effects": readings.effects_figure,
     "readings_nearest": partial(readings.nearest_figure, within=0.25),
     "robustness_noise": robustness.noise_figure,
@@ -69,10 +72,36 @@ def test_a_table_without_its_columns_is_refused(name):
         DATA_FIGURES[name](pd.read_csv(FIGURES / f"{name}.csv").iloc[:, :1])
 
 
-def test_truth_and_prediction_differ_in_dash_not_only_in_colour():
-    figure = paper.overlay_figure(pd.read_csv(FIGURES / "fig3_overlay.csv"))
-    for axes in figure.axes:
-        assert len({str(line.get_linestyle()) for line in axes.lines}) == len(axes.lines) == 3
+def an_overlay(whole=3.0):
+    """Two inputs, of which the second has the mechanical model too; both angles move by 0.5 rad."""
+    time = np.linspace(0, 6, 61)
+    curves = [f"{angle}_{who}" for angle in ("psi", "phi") for who in ("true", "koopman", "linear")]
+    table = pd.DataFrame({"time": time} | dict.fromkeys(curves, 0.5 * time / 6))
+    table = table.assign(phi_low=-whole / 2, phi_high=whole / 2, psi_low=-0.5, psi_high=0.5)
+    mechanical = dict.fromkeys(("psi_mechanical", "phi_mechanical"), 0.5 * time / 6)
+    return pd.concat([table.assign(input="reference"), table.assign(input="torque", **mechanical)])
+
+
+def test_truth_and_predictions_differ_in_dash_or_width_not_only_in_colour():
+    figure = paper.overlay_figure(an_overlay())
+    for axes, curves in zip(figure.axes, (3, 4, 3, 4), strict=True):
+        looks = {(str(line.get_linestyle()), line.get_linewidth()) for line in axes.lines}
+        assert len(looks) == len(axes.lines) == curves
+    assert [text.get_text() for text in figure.legends[0].get_texts()][-1] == "Koopman, mechanical"
+
+
+def test_a_narrow_axis_says_how_far_the_recording_reaches():
+    notes = [axes.get_title(loc="right") for axes in paper.overlay_figure(an_overlay()).axes]
+    assert notes == ["", "", *["whole recording: \N{MINUS SIGN}1.5 to 1.5 rad"] * 2]
+    assert not any(axes.get_title(loc="right") for axes in paper.overlay_figure(an_overlay(whole=1.0)).axes)
+
+
+def test_what_was_varied_is_said_in_words_and_a_new_choice_by_its_name():
+    table = pd.read_csv(FIGURES / "readings_effects.csv")
+    table = pd.concat([table, table.tail(1).assign(option="gains", choice="twice_as_high")])
+    labels = [text.get_text() for text in readings.effects_figure(table).axes[0].get_yticklabels()]
+    assert labels[0] == "input: torques" and labels[-1] == "gains: twice as high"
+    assert not any("_" in label for label in labels)
 
 
 def test_where_no_run_gave_a_model_the_curve_has_a_gap():

@@ -1,6 +1,6 @@
 """The rig in motion: the truth, the prediction as a ghost, and both angles below.
 
-A `film` is a table of both motions; `gif` writes it to a file, always with the same bytes; `movie` is for a notebook.
+A `film` is a table of both motions; `gif` writes it to a file, always with the same bytes, which are `gif_bytes`.
 """
 
 import io
@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from matplotlib.animation import FuncAnimation
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -105,8 +104,15 @@ class Scene:
         return np.asarray(self.figure.canvas.buffer_rgba())[..., :3].copy()
 
 
-def gif(table: pd.DataFrame, path: str | Path, *, label="Koopman model", rate: float = 10.0, progress=None) -> Path:
-    """Write a `film` as an animated GIF in a loop; the same film gives the same bytes on the same machine.
+def gif(table: pd.DataFrame, path: str | Path, **options) -> Path:
+    """Write `gif_bytes`, whose options these are, to a file whose name ends in ``.gif``; returns its path."""
+    with replacing(Path(path)) as temporary:
+        temporary.write_bytes(gif_bytes(table, **options))
+    return Path(path)
+
+
+def gif_bytes(table: pd.DataFrame, *, label: str = "Koopman model", rate: float = 10.0, progress=None) -> bytes:
+    """A `film` as an animated GIF in a loop; the same film gives the same bytes on the same machine.
 
     All frames share one palette, so that the static parts do not flicker and take no space.
 
@@ -114,8 +120,6 @@ def gif(table: pd.DataFrame, path: str | Path, *, label="Koopman model", rate: f
     ----------
     table : pandas.DataFrame
         From `film`.
-    path : str or Path
-        Ends in ``.gif``.
     label : str
         Name of the ghost in the legend.
     rate : float
@@ -138,18 +142,10 @@ def gif(table: pd.DataFrame, path: str | Path, *, label="Koopman model", rate: f
     colours[colours.min(axis=1) >= 250] = 255  # pure white, not the mean of nearly white colours
     palette.putpalette(colours.ravel().tolist())
     flat = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
-    with replacing(Path(path)) as temporary:
-        target = io.BytesIO()
-        options = {"duration": round(1000 / rate), "loop": 0, "optimize": False}
-        flat[0].save(target, format="GIF", save_all=True, append_images=flat[1:], **options)
-        temporary.write_bytes(target.getvalue())
-    return Path(path)
-
-
-def movie(table: pd.DataFrame, *, label: str = "Koopman model", rate: float = 10.0) -> FuncAnimation:
-    """A `film` for a notebook: ``IPython.display.HTML(movie(...).to_jshtml())``."""
-    scene = Scene(table, label)
-    return FuncAnimation(scene.figure, scene.show, frames=len(table), interval=1000 / rate, blit=False, repeat=True)
+    target = io.BytesIO()
+    options = {"duration": round(1000 / rate), "loop": 0, "optimize": False}
+    flat[0].save(target, format="GIF", save_all=True, append_images=flat[1:], **options)
+    return target.getvalue()
 
 
 def _angle_panel(panel, table, angle, name):

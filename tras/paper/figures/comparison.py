@@ -1,111 +1,119 @@
-"""Figures of the comparison: error against horizon, against data and noise, and against the number of parameters."""
+"""Figures of the comparison: all methods over one horizon, four of them over all, and all with few or noisy data."""
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator
+from matplotlib.lines import Line2D
 
-from tras.plotting import require, styled
+from tras.plotting import LINEAR, MECHANICAL, MODEL, new_figure, require, styled
 
-LINEAR = "DMDc"
-FAR = 4.0  # a method so many times worse than the median one does not stretch the axis; nor does the grey box below it
-WIDE = 7.0  # inches, two columns: eleven methods need their names beside them
-STYLES = {
-    "DMDc": ("o", "#000000", "-"),
-    "N4SID": ("s", "#666666", "--"),
-    "Hammerstein-Wiener": ("D", "#009E73", "-."),
-    "NARX": ("v", "#B04A00", ":"),
-    "neural network": ("^", "#CC79A7", "-"),
-    "SINDy": ("<", "#B04A00", "--"),
-    "EDMD (pykoop)": (">", "#009E73", ":"),
-    "Koopman, the paper's": ("X", "#0072B2", "--"),
-    "Koopman, monomials": ("P", "#0072B2", "-."),
-    "Koopman, mechanical": ("*", "#0072B2", "-"),
-    "grey box": ("h", "#000000", ":"),
+REFERENCE = "DMDc"
+# Over all horizons: a linear model, a method of the field, the paper's model and ours. (marker, look of the line)
+FOUR = {
+    REFERENCE: ("o", LINEAR),
+    "NARX": ("v", {"color": "black", "linestyle": ":", "linewidth": 1.1}),
+    "Koopman, the paper's": ("s", MODEL),
+    "Koopman, mechanical": ("D", MECHANICAL),
 }
-_UNKNOWN = ("o", "#000000", "-")
+ANGLE_LOOKS = {"yaw": ("o", "black"), "pitch": ("D", "#0072B2")}
+ROW = 0.155  # inches per method
+BEYOND = 1e-4  # of the panel's median: what is smaller would squeeze the rest, and is said in words
 
 
 @styled()
-def horizon_figure(table: pd.DataFrame) -> Figure:
-    """Median NRMSE over the multisines against the horizon, divided by that of DMDc; one panel per input and angle.
+def window_figure(table: pd.DataFrame) -> Figure:
+    """NRMSE of every method over one horizon, one column per input and angle; the best with the last input on top.
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        From `horizon_table`.
-    """
-    require(table, "table", ["method", "input", "angle", "horizon", "nrmse", "diverged"])
-    horizons = sorted(table["horizon"].unique())
-    ticks = ["1 sample", *[f"{h:g} s" for h in horizons[1:]]]
-    figure, panels = _panels(["reference", "torque"], "NRMSE over that of DMDc")
-    linear = table[table["method"] == LINEAR].set_index(["input", "angle", "horizon"])["nrmse"]
-    if linear.empty:
-        raise ValueError(f"table has no method {LINEAR!r}, to which the others are related; compare it too.")
-    for (column, row), axes in panels.items():
-        part = table[(table["input"] == column) & (table["angle"] == row)]
-        part = part.assign(nrmse=part["nrmse"] / [linear.get((column, row, h), np.nan) for h in part["horizon"]])
-        _lines(axes, part.assign(at=part["horizon"].map(horizons.index)), ticks)
-    return figure
-
-
-@styled()
-def data_figure(table: pd.DataFrame) -> Figure:
-    """Median NRMSE over the multisines against the share of the data, and against noise without and with smoothing.
-
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        From `data_table`.
-    """
-    require(table, "table", ["method", "input", "angle", "noise", "smoothed", "fraction", "nrmse", "diverged"])
-    noisy = table[table["noise"] > 0]
-    table = table[table["input"] == (table if noisy.empty else noisy)["input"].iloc[0]]
-    clean, whole = table[table["noise"] == 0], table[table["fraction"] == table["fraction"].max()]
-    figure, panels = _panels(["share of the training data", "noise in the training data"])
-    for (column, row), axes in panels.items():
-        part = clean if column.startswith("share") else whole
-        part = part[part["angle"] == row]
-        if column.startswith("share"):
-            values = sorted(part["fraction"].unique())
-            at, ticks = part["fraction"].map(values.index), [f"{100 * value:g} %" for value in values]
-        else:
-            pairs = list(zip(part["noise"], part["smoothed"]))
-            cases = sorted(set(pairs))
-            at = [cases.index(pair) for pair in pairs]
-            ticks = [
-                f"{level:g} %" + (", smoothed" if smoothed else "") if level else "none" for level, smoothed in cases
-            ]
-        _lines(axes, part.assign(at=np.asarray(at)).sort_values("at", kind="stable"), ticks)
-    return figure
-
-
-@styled()
-def pareto_figure(table: pd.DataFrame) -> Figure:
-    """NRMSE against the number of parameters, one panel per input and angle.
+    A hollow point has lost windows: its error is that of the others.
 
     Parameters
     ----------
     table : pandas.DataFrame
         From `horizon_table`, the rows of one horizon.
     """
-    require(table, "table", ["method", "input", "angle", "nrmse", "parameters"])
-    figure, panels = _panels(["reference", "torque"])
-    for (column, row), axes in panels.items():
-        part = table[(table["input"] == column) & (table["angle"] == row) & np.isfinite(table["nrmse"])]
-        ends = []
-        for name, count, error in zip(part["method"], part["parameters"], part["nrmse"]):
-            marker, colour, _ = STYLES.get(name, _UNKNOWN)
-            axes.plot(count, error, marker=marker, color=colour, linestyle="none", markersize=5)
-            ends.append((name, count, error))
-        axes.set(xscale="log", yscale="log")
-        axes.set_xlim(part["parameters"].min() / 1.5, part["parameters"].max() * 1.3)
-        axes.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
-        axes.xaxis.set_major_formatter("{x:g}")
-        axes.xaxis.set_minor_formatter("")
-        _limit(axes, {name: [error] for name, _, error in ends})
-        _label(axes, ends)
-    figure.supxlabel("number of parameters", fontsize=8)
+    require(table, "table", ["method", "input", "angle", "nrmse", "diverged"])
+    order = _best_first(table[table["input"] == table["input"].iloc[-1]], table)
+    columns = list(dict.fromkeys(zip(table["input"], table["angle"])))
+    figure, panels = _dot_panels(order, len(columns))
+    for panel, (name, angle) in zip(panels, columns):
+        rows = table[table["input"] == name]
+        _dots(panel, rows[rows["angle"] == angle], order, _limits(rows["nrmse"]))
+        panel.set_title(f"{name},\n{angle}")
+        linear = rows[(rows["method"] == REFERENCE) & (rows["angle"] == angle)]["nrmse"]
+        panel.axvline(*linear.head(1), color="0.5", linestyle="-", linewidth=0.7, zorder=0.9)
+    figure.supxlabel(f"NRMSE (%); vertical line: {REFERENCE}" + _hollow(table), fontsize=8)
+    return figure
+
+
+@styled()
+def horizon_figure(table: pd.DataFrame) -> Figure:
+    """Median NRMSE of four methods against the horizon, over that of DMDc; one column per input, one row per angle.
+
+    A hollow point has lost windows: its error is that of the others.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        From `horizon_table`. Methods other than the four are not drawn.
+    """
+    require(table, "table", ["method", "input", "angle", "horizon", "nrmse", "diverged"])
+    horizons, inputs = sorted(table["horizon"].unique()), list(dict.fromkeys(table["input"]))
+    linear = table[table["method"] == REFERENCE].set_index(["input", "angle", "horizon"])["nrmse"]
+    if linear.empty:
+        raise ValueError(f"table has no method {REFERENCE!r}, to which the others are related; compare it too.")
+    methods = {name: look for name, look in FOUR.items() if name in set(table["method"])}
+    figure, axes = new_figure(height=3.3, rows=2, columns=len(inputs), sharey=True, squeeze=False)
+    for row, angle in zip(axes, ANGLE_LOOKS):
+        for panel, name in zip(row, inputs):
+            part = table[(table["input"] == name) & (table["angle"] == angle)]
+            for method, (marker, look) in methods.items():
+                rows = part[part["method"] == method].sort_values("horizon")
+                ratio = rows["nrmse"].to_numpy() / [linear[name, angle, h] for h in rows["horizon"]]
+                at, lost = [horizons.index(h) for h in rows["horizon"]], (rows["diverged"] > 0).to_numpy()
+                panel.semilogy(at, ratio, **look, label=method)
+                _points(panel, np.array(at), ratio, lost, marker, look["color"])
+            panel.set_title(f"{angle}, input: {name}")
+            panel.grid(axis="y")
+            panel.set_xticks(range(len(horizons)), [f"{h:g} s" for h in horizons])
+            panel.margins(x=0.06)
+    axes[0, 0].yaxis.set_major_formatter("{x:g}")
+    figure.supylabel(f"NRMSE over that of {REFERENCE}", fontsize=8)
+    figure.supxlabel("time ahead" + _hollow(table[table["method"].isin(methods)]), fontsize=8)
+    handles = [Line2D([], [], **look, marker=marker, label=name) for name, (marker, look) in methods.items()]
+    figure.legend(handles=handles, loc="outside upper center", ncols=2, columnspacing=1.2)
+    return figure
+
+
+@styled()
+def data_figure(table: pd.DataFrame) -> Figure:
+    """NRMSE of every method with few and with noisy data, one column per case, all on one axis; for one input.
+
+    A hollow point has lost windows: its error is that of the others.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        From `data_table`. Of several inputs the first one with noise is drawn.
+    """
+    require(table, "table", ["method", "input", "angle", "noise", "smoothed", "fraction", "nrmse", "diverged"])
+    noisy = table[table["noise"] > 0]
+    table = table[table["input"] == (table if noisy.empty else noisy)["input"].iloc[0]]
+    whole = table["fraction"].max()
+    cases = sorted(dict.fromkeys(zip(table["noise"], table["smoothed"], table["fraction"])))
+    order = _best_first(table[(table["noise"] == 0) & (table["fraction"] == whole)], table)
+    figure, panels = _dot_panels(order, len(cases), extra=0.2)
+    limits = _limits(table["nrmse"])
+    for panel, (noise, smoothed, fraction) in zip(panels, cases):
+        chosen = (table["noise"] == noise) & (table["smoothed"] == smoothed) & (table["fraction"] == fraction)
+        _dots(panel, table[chosen], order, limits)
+        share = "all data" if fraction == whole else f"{100 * fraction:g} %\nof data"
+        panel.set_title(f"{noise:g} % noise" + ("\nsmoothed" if smoothed else "") if noise else share, fontsize=7.2)
+    handles = [
+        Line2D([], [], marker=marker, color=colour, linestyle="none", label=angle)
+        for angle, (marker, colour) in ANGLE_LOOKS.items()
+    ]
+    figure.legend(handles=handles, loc="outside upper right", ncols=2, columnspacing=1.2)
+    figure.supxlabel("NRMSE (%)" + _hollow(table), fontsize=8)
     return figure
 
 
@@ -126,72 +134,73 @@ def _over_realisations(table, by):
     return groups.agg(nrmse=("nrmse", "median"), low=("nrmse", "min"), high=("nrmse", "max"), **counts).reset_index()
 
 
-def _panels(columns, label="NRMSE (%)"):
-    """A wide figure: {(column, angle): axes}, one row per angle."""
-    figure = Figure(figsize=(WIDE, 5.6), layout="constrained")
-    axes = figure.subplots(2, len(columns), sharex="col")
-    panels = {
-        (column, angle): panel for angle, row in zip(("yaw", "pitch"), axes) for column, panel in zip(columns, row)
-    }
-    for (column, angle), panel in panels.items():
-        panel.set_title(f"{column}, {angle}")
-        panel.set_ylabel(label)
+def _best_first(rows, table):
+    """Methods by the geometric mean of their errors in these rows; those without an error come last."""
+    errors = rows["nrmse"].where(rows["nrmse"] > 0)
+    means = np.log(errors).groupby(rows["method"]).mean().reindex(table["method"].unique())
+    return list(means.sort_values(kind="stable", na_position="last").index)
+
+
+def _dot_panels(order, columns, extra=0.0):
+    """A figure with one row per method, the first on top, and its panels."""
+    figure, panels = new_figure(0.72 + extra + ROW * len(order), 1, columns, sharex=False, sharey=True, squeeze=False)
+    figure.get_layout_engine().set(w_pad=0.015, wspace=0.0)
+    panels = panels[0]
+    panels[0].set_yticks(range(len(order)), order)
+    panels[0].set_ylim(len(order) - 0.4, -0.6)
+    for panel in panels:
+        panel.tick_params(axis="y", length=0)
+        panel.spines["left"].set_visible(False)
+        panel.grid()
+        panel.set_xscale("log")
+        panel.tick_params(axis="x", labelsize=6.5, which="both")
     return figure, panels
 
 
-def _lines(axes, table, ticks):
-    """One line per method over ``at``, hollow where some predictions diverged, its name at its end."""
-    ends, errors = [], {}
-    for name, rows in table.groupby("method", sort=False):
-        marker, colour, dashes = STYLES.get(name, _UNKNOWN)
-        x, y, lost = (rows[column].to_numpy() for column in ("at", "nrmse", "diverged"))
-        x, errors[name] = x.astype(float), y
-        there = np.isfinite(y) & (y > 0)
-        if not there.any():
-            continue
-        axes.plot(x[there], y[there], color=colour, linestyle=dashes, linewidth=0.8)
-        look = {"marker": marker, "color": colour, "linestyle": "none", "markersize": 4.5, "markeredgewidth": 0.7}
-        for some, face in ((there & (lost == 0), colour), (there & (lost > 0), "white")):
-            axes.plot(x[some], y[some], markerfacecolor=face, **look)
-        ends.append((name, x[there][-1], y[there][-1]))
-    axes.set_yscale("log")
-    axes.set_xticks(range(len(ticks)), ticks)
-    axes.set_xlim(-0.1, len(ticks) - 1 + 0.1)
-    _limit(axes, errors)
-    _label(axes, ends)
+def _limits(errors):
+    """Limits of the axis, and the smallest error that is drawn to scale."""
+    errors = errors[np.isfinite(errors) & (errors > 0)]
+    if errors.empty:
+        return 0.1, 10.0
+    to_scale = errors[errors > BEYOND * errors.median()]
+    low, high = to_scale.min(), to_scale.max()
+    room = max((high / low) ** 0.1, 1.3)
+    return low / room ** (2.5 if len(to_scale) < len(errors) else 1), high * room
 
 
-def _limit(axes, values):
-    """Axis over all methods but the grey box and those far above the rest."""
-    some = np.concatenate([y for name, y in values.items() if name != "grey box"] or [[1.0]])
-    some = some[np.isfinite(some) & (some > 0)]
-    if len(some):
-        axes.set_ylim(some.min() / 1.5, min(some.max(), FAR * np.median(some)) * 1.5)
-        low, high = axes.get_ylim()
-        if high / low < 50:
-            axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-            axes.yaxis.set_major_formatter("{x:g}")
-            axes.yaxis.set_minor_formatter("")
+def _dots(panel, rows, order, limits):
+    low, high = limits
+    panel.set_xlim(low, high)
+    panel.set_xticks(_ticks(low, high))
+    panel.set_xticks([], minor=True)
+    panel.xaxis.set_major_formatter("{x:g}")
+    angles = list(dict.fromkeys(rows["angle"]))
+    for angle, part in rows.groupby("angle", sort=False):
+        at = np.array([order.index(name) for name in part["method"]])
+        error, lost = part["nrmse"].to_numpy(), (part["diverged"] > 0).to_numpy()
+        to_scale, aside = error > low, 0.3 * (angles.index(angle) - (len(angles) - 1) / 2)
+        _points(panel, error[to_scale], at[to_scale] + aside, lost[to_scale], *ANGLE_LOOKS[angle])
+        if angle == angles[0]:  # one word is enough
+            for y, value in zip(at[~to_scale], error[~to_scale]):
+                word = f"\N{LEFTWARDS ARROW} {value:.0e}".replace("e-0", "e-") if np.isfinite(value) else "all lost"
+                panel.text(0.03, y, word, transform=panel.get_yaxis_transform(), va="center", fontsize=6.2)
 
 
-def _label(axes, ends):
-    """Names right of the panel, spread, in the order of the errors: a line to the point, or its value if beyond."""
-    if not ends:
-        return
-    low, high = (np.log10(edge) for edge in axes.get_ylim())
-    order = sorted(ends, key=lambda end: end[2])
-    heights = np.array([(np.log10(y) - low) / (high - low) for _, _, y in order])
-    levels, gap = np.clip(heights, 0.0, 1.0), 0.085
-    for k in range(1, len(levels)):
-        levels[k] = max(levels[k], levels[k - 1] + gap)
-    levels[-1] = min(levels[-1], 1.0)
-    for k in range(len(levels) - 2, -1, -1):
-        levels[k] = min(levels[k], levels[k + 1] - gap)
-    for (name, x, y), level, height in zip(order, levels, heights):
-        colour = STYLES.get(name, _UNKNOWN)[1]
-        options = {"fontsize": 6.5, "color": colour, "va": "center", "annotation_clip": False}
-        if not 0 <= height <= 1:
-            axes.annotate(f"{name} ({y:.1g})", (1.04, level), xycoords="axes fraction", **options)
-            continue
-        line = {"arrowstyle": "-", "color": colour, "linewidth": 0.4, "shrinkA": 0, "shrinkB": 2, "relpos": (0, 0.5)}
-        axes.annotate(name, (x, y), (1.08, level), textcoords="axes fraction", arrowprops=line, **options)
+def _ticks(low, high):
+    """Two or three round numbers between these."""
+    exponents = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
+    every = [digit * 10.0**k for k in exponents for digit in (1, 3) if low < digit * 10.0**k < high]
+    decades = [10.0**k for k in exponents if low < 10.0**k < high]
+    if len(decades) < 3:
+        return every[:: max(1, len(every) // 2)]
+    return decades[1:-1:2] if len(decades) > 4 else decades[::2]  # none at an edge, where its neighbour's label begins
+
+
+def _hollow(table):
+    return "; hollow: some windows lost" if (table["diverged"] > 0).any() else ""
+
+
+def _points(panel, x, y, lost, marker, colour):
+    look = {"marker": marker, "color": colour, "linestyle": "none", "markersize": 3.6, "markeredgewidth": 0.8}
+    for some, face in ((~lost, colour), (lost, "white")):
+        panel.plot(x[some], y[some], markerfacecolor=face, zorder=3, **look)

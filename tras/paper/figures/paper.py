@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from tras.plotting import LINEAR, MODEL, TRUTH, new_figure, require, styled
+from tras.plotting import LINEAR, MECHANICAL, MODEL, TRUTH, new_figure, require, styled
 
 MODEL_NAMES = {
     "linear": "linear",
@@ -48,32 +48,53 @@ def excitation_figure(table: pd.DataFrame) -> Figure:
     return figure
 
 
+_DRAWN = {  # column of the overlay -> its look
+    "true": TRUTH | {"label": "truth", "zorder": 3},
+    "koopman": MODEL | {"label": "Koopman, the paper's"},
+    "linear": LINEAR | {"label": "linear model"},
+    "mechanical": MECHANICAL | {"label": "Koopman, mechanical", "zorder": 1.5},
+}
+_NARROW = 0.25  # of the recording's range: an axis that shows less says so
+
+
 @styled()
 def overlay_figure(table: pd.DataFrame) -> Figure:
     """Fig. 3: truth and prediction over one window, from the same initial state under the same inputs.
+
+    A panel that shows less than a quarter of what the angle does in the recording notes the recording's range.
 
     Parameters
     ----------
     table : pandas.DataFrame
         Columns ``input``, ``time`` in s, and in rad ``phi_true, phi_koopman, phi_linear`` and the same of ``psi``. One
-        column of panels per input.
+        column of panels per input. ``phi_mechanical, psi_mechanical`` are drawn where they are; of ``phi_low,
+        phi_high`` and the same of ``psi``, the recording's range, the first row counts.
     """
     curves = [f"{angle}_{who}" for angle in ("psi", "phi") for who in ("true", "koopman", "linear")]
     require(table, "table", ["input", "time", *curves])
     inputs = list(dict.fromkeys(table["input"]))
-    figure, axes = new_figure(height=2.9, rows=2, columns=len(inputs), squeeze=False)
+    figure, axes = new_figure(height=3.3, rows=2, columns=len(inputs), squeeze=False)
+    labels = {}
     for column, name in zip(axes.T, inputs):
         window = table[table["input"] == name]
-        for panel, angle in zip(column, ("psi", "phi")):
-            panel.plot(window["time"], window[f"{angle}_true"], **TRUTH, label="truth", zorder=3)
-            panel.plot(window["time"], window[f"{angle}_koopman"], **MODEL, label="Koopman")
-            panel.plot(window["time"], window[f"{angle}_linear"], **LINEAR, label="linear model")
         column[0].set_title(f"input: {name}")
+        for panel, angle in zip(column, ("psi", "phi")):
+            for who, look in _DRAWN.items():
+                if f"{angle}_{who}" in window and window[f"{angle}_{who}"].notna().any():
+                    (labels[who],) = panel.plot(window["time"], window[f"{angle}_{who}"], **look)
+            _note_range(panel, window, angle)
         column[-1].set(xlabel="time (s)", xlim=(window["time"].min(), window["time"].max()))
     for panel, label in zip(axes[:, 0], (r"yaw $\psi$ (rad)", r"pitch $\phi$ (rad)")):
         panel.set_ylabel(label)
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    figure.legend(handles=[labels[who] for who in _DRAWN if who in labels], loc="outside upper center", ncols=2)
     return figure
+
+
+def _note_range(panel, window, angle):
+    low, high = (window.get(f"{angle}_{end}", pd.Series([np.nan])).iloc[0] for end in ("low", "high"))
+    if np.ptp(panel.get_ylim()) < _NARROW * (high - low):
+        text = f"whole recording: {low:.1f} to {high:.1f} rad".replace("-", "\N{MINUS SIGN}")
+        panel.set_title(text, fontsize=7, loc="right", style="italic")  # above the panel, where no curve runs
 
 
 @styled()

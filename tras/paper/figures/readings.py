@@ -7,7 +7,23 @@ from matplotlib.figure import Figure
 from tras.paper.effects import target
 from tras.plotting import MODEL, new_figure, require, styled
 
-_CHOICES = {"frequency_unit": "frequencies", "nrmse_range": "range", "velocity_term": "velocity term"}
+_WORDS = {  # (option, choice) -> the label of what differs from the default
+    ("input", "torque"): "input: torques",
+    ("frequency_unit", "Hz"): "frequencies: Hz",
+    ("dictionary", "gaussian28"): "functions: 28 Gaussians",
+    ("dictionary", "monomials2"): "functions: degree 2",
+    ("dictionary", "monomials3"): "functions: degree 3",
+    ("dictionary", "exponentials"): "functions: exponentials",
+    ("dictionary", "linear"): "functions: linear ones alone",
+    ("state", "delayed_angles"): "state: angles and a delay",
+    ("horizon", "trajectory"): "horizon: one trajectory",
+    ("horizon", "free_run"): "horizon: whole recording",
+    ("nrmse_range", "trajectory"): "range: each window",
+    ("velocity_term", "as_printed"): "velocity term: as printed",
+    ("start", "on_reference"): "start: on the reference",
+    ("start", "hanging"): "start: hanging at rest",
+    ("start", "zero"): "start: both angles zero",
+}
 _MARKERS = {  # (input, frequency unit) -> how its readings are drawn
     ("reference", "rad/s"): ("o", "#0072B2"), ("reference", "Hz"): ("s", "#009E73"),
     ("torque", "rad/s"): ("^", "#D55E00"), ("torque", "Hz"): ("x", "black"),
@@ -38,9 +54,13 @@ def effects_figure(table: pd.DataFrame) -> Figure:
         panel.xaxis.set_major_formatter("{x:g}")
         panel.set_title(angle)
         panel.margins(y=0.03)
-    axes[0].set_yticks(list(heights.values()), [f"{_CHOICES.get(o, o)}: {c.replace('_', ' ')}" for o, c in heights])
+    axes[0].set_yticks(list(heights.values()), [_label(*row) for row in heights])
     figure.supxlabel("NRMSE, ratio to that of the default choice", fontsize=8)
     return figure
+
+
+def _label(option, choice):
+    return _WORDS.get((option, choice), f"{option}: {choice}".replace("_", " "))
 
 
 @styled()

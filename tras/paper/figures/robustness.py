@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from tras.plotting import MODEL, new_figure, require, styled
 
 # The names that differ from those in the tables.
-METHOD_NAMES = {"plain": "least squares", "default": "regularised (default)", "refined": "smoothed and refined"}
+METHOD_NAMES = {"plain": "least squares", "default": "regularized (default)", "refined": "smoothed and refined"}
 _METHOD_MARKERS = ("o", "s", "^", "D")
 DICTIONARY_NAMES = {"monomials2": "monomials, degree 2", "monomials3": "monomials, degree 3"}
 
@@ -50,24 +50,25 @@ def length_figure(table: pd.DataFrame) -> Figure:
     Parameters
     ----------
     table : pandas.DataFrame
-        Columns ``fit`` ("plain" or "default"), ``dictionary, noise`` (%), ``ratio`` (snapshot pairs per function),
-        ``failed`` (0 to 1).
+        Columns ``fit`` ("plain" or "default"), ``dictionary, functions`` (their number), ``noise`` (%), ``ratio``
+        (snapshot pairs per function), ``failed`` (0 to 1).
     """
-    require(table, "table", ["fit", "dictionary", "noise", "ratio", "failed"])
+    require(table, "table", ["fit", "dictionary", "functions", "noise", "ratio", "failed"])
     fits, levels = list(dict.fromkeys(table["fit"])), sorted(table["noise"].unique())
     figure, axes = new_figure(0.9 + 1.25 * len(fits), len(fits), len(levels), squeeze=False, sharey=True)
-    names = list(dict.fromkeys(table["dictionary"]))
+    names = table.drop_duplicates("dictionary").set_index("dictionary")["functions"]
     for row, fit in zip(axes, fits):
         for panel, level in zip(row, levels):
             rows = table[(table["fit"] == fit) & (table["noise"] == level)]
-            for name, marker in zip(names, itertools.cycle(_METHOD_MARKERS)):
-                line, label = rows[rows["dictionary"] == name], DICTIONARY_NAMES.get(name, name)
+            for (name, count), marker in zip(names.items(), itertools.cycle(_METHOD_MARKERS)):
+                line, label = rows[rows["dictionary"] == name], f"{DICTIONARY_NAMES.get(name, name)} ({count:g})"
                 panel.plot(line["ratio"], 100 * line["failed"], marker=marker, label=label)
-            panel.set_title(f"{METHOD_NAMES.get(fit, fit).split(' (')[0]}, {level:g} % noise")
+            noise = f"{level:g} % noise" if level else "no noise"
+            panel.set_title(f"{METHOD_NAMES.get(fit, fit).split(' (')[0]}, {noise}")
             panel.set(xscale="log", xlim=(0.8 * table["ratio"].min(), 1.25 * table["ratio"].max()), ylim=(-5, 105))
             panel.xaxis.set_major_formatter("{x:g}")
             panel.xaxis.set_minor_formatter("")
-    figure.supxlabel("snapshot pairs a function", fontsize=8)
+    figure.supxlabel("snapshot pairs per function (number of functions in brackets above)", fontsize=8)
     figure.supylabel("stretches without a model (%)", fontsize=8)
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2, columnspacing=1.2)
     return figure
