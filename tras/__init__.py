@@ -3,7 +3,7 @@
 Start here:
 
     import tras
-    log = tras.Recording.read("log.csv")          # or tras.Recording([states], [inputs], dt=0.01)
+    log = tras.Recording.read("log.csv")          # or tras.example("duffing") to try
     log.plot()                                    # every channel over time
     train, test = log.cut(101).split(0.8, 0)      # trajectories of 101 samples, four fifths of them to fit
     model, tried = tras.choose(train)             # or tras.KoopmanModel(tras.Monomials(2)).fit(train)
@@ -85,6 +85,7 @@ if TYPE_CHECKING:
     from tras.display.plots import compare as compare
     from tras.identification.bootstrap import bootstrap as bootstrap
     from tras.identification.bootstrap import prediction_band as prediction_band
+    from tras.identification.examples import example as example
     from tras.identification.identification import identify as identify
     from tras.identification.noise import add_noise as add_noise
     from tras.identification.noise import noise_level as noise_level

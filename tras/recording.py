@@ -212,9 +212,12 @@ class Recording:
             raise ValueError(
                 f"samples = {samples}; pieces need 2 to {self.lengths.max()} samples, the longest trajectory's length."
             )
-        starts = [(x, u, k, i) for i, (x, u) in enumerate(self) for k in range(0, len(x) - samples + 1, samples - 1)]
-        states, inputs = ([pair[j][pair[2] : pair[2] + samples] for pair in starts] for j in (0, 1))
-        return self._of(states, inputs, [i for *_, i in starts])
+        pieces = [
+            (x[k : k + samples], u[k : k + samples], i)
+            for i, (x, u) in enumerate(self)
+            for k in range(0, len(x) - samples + 1, samples - 1)
+        ]
+        return self._of(*map(list, zip(*pieces)))
 
     def cut_all(self, samples: int) -> "Recording":
         """As `cut`, but rests and shorter trajectories are kept with the length that they have."""
@@ -429,7 +432,7 @@ class Recording:
     @classmethod
     def from_frame(
         cls,
-        dataframe,
+        dataframe: "pandas.DataFrame",
         roles: dict | str | Path | None = None,
         *,
         dt: float | None = None,

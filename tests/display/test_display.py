@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 from conftest import linear_system, visible_texts
+from hypothesis import example as instance
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from IPython.core.formatters import DisplayFormatter
@@ -108,11 +109,17 @@ def test_a_constant_state_has_no_fit(recording, model):
     assert "no fit: constant" in tras.compare(still, model).axes[0].get_legend().get_texts()[1].get_text()
 
 
-@pytest.mark.parametrize("draw", ["recording", "model", "spectrum"])
-def test_a_figure_fits_its_column(draw, recording, model):
-    figure = {"recording": recording.plot, "model": lambda: model.plot(recording), "spectrum": model.plot_spectrum}[
-        draw
-    ]()
+@pytest.mark.parametrize("draw", ["recording", "model", "two", "five", "spectrum"])
+def test_a_figure_fits_its_column(draw, recording, model, poor):
+    figure = {
+        "recording": recording.plot,
+        "model": lambda: model.plot(recording),
+        "two": lambda: tras.compare(recording, model, poor, names=["mechanical", "linear"]),
+        "five": lambda: tras.compare(
+            recording, *[model, poor] * 2, model, names=["MMMM", "l" * 22, "m", "W" * 30, "x"]
+        ),
+        "spectrum": model.plot_spectrum,
+    }[draw]()
     assert isinstance(figure, Figure) and figure.get_figwidth() == WIDTH
     renderer, texts = visible_texts(figure)
     page = figure.bbox
@@ -240,6 +247,7 @@ def test_many_channels_stay_short():
 
 @pytest.mark.filterwarnings("ignore:Glyph .* missing")  # a box is drawn
 @settings(deadline=None, max_examples=50)
+@instance("$\\frac{$")
 @given(st.text(min_size=1))
 def test_any_name_is_drawn_and_escaped(name):
     from tras.plotting import plain

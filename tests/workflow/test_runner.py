@@ -176,6 +176,9 @@ def test_fail_repair_succeed(tmp_path, capsys):
     assert sorted(file.name for file in build.iterdir()) == ["01_stage.ipynb", "01_stage.json"]
     cell = nbformat.read(executed, 4).cells[-1]
     assert cell.outputs[0].data["text/plain"] == repr(str(path.parent))  # as in JupyterLab
+    runner.run_notebook(path, executed, cwd=path.parent.parent)
+    assert nbformat.read(executed, 4).cells[-1].outputs[0].data["text/plain"] == repr(str(path.parent.parent))
+    assert run(path, "--outputs", output, "--set", "n=3")[0] == 0
 
     record = json.loads((build / "01_stage.json").read_text())
     assert record["parameters"] == {"n": 3.0}

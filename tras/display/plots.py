@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
+from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.textpath import TextPath
 
 from tras import metrics
 from tras.dictionaries.base import label
 from tras.plotting import LINEAR, MODEL, TRUTH, new_figure, plain, require, styled
+from tras.workflow.arguments import short
 
 if TYPE_CHECKING:
     from tras.estimator import Estimator
@@ -23,6 +26,7 @@ if TYPE_CHECKING:
 
 MOST = 6  # panels; others on request
 CURVE = 3000  # samples of a curve, about
+_NAME = 22  # letters of a model in a legend, at most
 _MODELS = [
     MODEL,
     LINEAR,
@@ -152,10 +156,8 @@ def compare(
     shown = recording[int(trajectory)]
     latest = max(model.delays for model in models)
     runs = [_simulated(model, shown, latest) for model in models]
-    names = _names(models) if names is None else names
-    longest = max(len(f"{plain(name)}: 100 %") for name in names)
-    columns = max(1, min(len(models) + 1, int(3.2 / (0.4 + 0.055 * longest))))
-    rows = -(-(len(models) + 1) // columns)
+    names = [plain(short(str(name), _NAME)) for name in (_names(models) if names is None else names)]
+    rows, columns = _grid(["measured", *(f"{name}: 99.9 %" for name in names)])
     panels = _panels(ax, len(states), height=(0.72 + 0.14 * rows) * len(states) + 0.35)
     time = np.arange(len(shown.states[0])) * shown.dt
     units = dict(zip(recording.state_names, recording.state_units))
@@ -168,7 +170,7 @@ def compare(
                 values, fit = run[state]
                 inside = (values >= true.min() - reach) & (values <= true.max() + reach)  # False for NaN
                 lines += panel.plot(time[latest:], np.where(inside, values, np.nan), **style)
-                legend.append(f"{plain(name)}: {fit}")
+                legend.append(f"{name}: {fit}")
         panel.set_ylabel(with_units([state], [units[state]])[0])
         panel.legend(lines, legend, loc="lower left", bbox_to_anchor=(0, 1), ncols=columns, columnspacing=1.0)
     which = f", trajectory {trajectory} of {len(recording)}" if len(recording) > 1 else ""
@@ -260,12 +262,24 @@ def _simulated(model, shown, latest):
 
 
 def _names(models):
-    """What to call models: by their dictionaries, and by a number where those are alike or long."""
+    """What to call models: by their dictionaries, with options where needed, with a number where those are alike."""
     dictionaries = [getattr(model, "dictionary", None) for model in models]
-    short = [type(model if d is None else d).__name__ for model, d in zip(models, dictionaries)]
-    if len(set(short)) == len(short):
-        return short
-    full = [name if d is None else label(d) for name, d in zip(short, dictionaries)]
-    if len(set(full)) == len(full) and max(map(len, full)) <= 30:
-        return full
-    return [f"{name} [{i + 1}]" for i, name in enumerate(short)]
+    kinds = [type(model if d is None else d).__name__ for model, d in zip(models, dictionaries)]
+    full = [name if d is None else label(d) for name, d in zip(kinds, dictionaries)]
+    names = []
+    for i, (name, words) in enumerate(zip(kinds, full)):
+        if kinds.count(name) > 1:
+            name = words if full.count(words) == 1 and len(words) <= _NAME else f"{name} [{i + 1}]"
+        names.append(name)
+    return names
+
+
+def _grid(entries):
+    """Rows and columns of a legend, which fills them column by column, as wide as a panel at most."""
+    size = rcParams["legend.fontsize"]
+    widths = [0.46 + TextPath((0, 0), entry, size=size).get_extents().width / 72 for entry in entries]  # inches
+    for columns in range(len(entries), 0, -1):
+        rows = -(-len(entries) // columns)
+        if sum(max(widths[k : k + rows]) for k in range(0, len(entries), rows)) <= 3.0:
+            break
+    return rows, columns

@@ -195,7 +195,7 @@ def _run(out, parameters, root):
     out.parent.mkdir(parents=True, exist_ok=True)
     aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.run.", dir=out.parent))
     try:
-        seconds = run_notebook(NOTEBOOK, aside / "identify.ipynb", parameters, folder=root)
+        seconds = run_notebook(NOTEBOOK, aside / "identify.ipynb", parameters, cwd=root)
         for name in ("identify.json", "identify.ipynb"):
             os.replace(aside / name, out / name)
     except RunError as error:

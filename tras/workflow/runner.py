@@ -41,7 +41,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 def run_notebook(
-    notebook: str | Path, executed: str | Path, parameters: dict | None = None, outputs=(), folder=None
+    notebook: str | Path, executed: str | Path, parameters: dict | None = None, outputs=(), cwd=None
 ) -> float:
     """Execute a notebook; its executed copy appears under its final name only if everything went well.
 
@@ -53,8 +53,8 @@ def run_notebook(
         Name -> value, already checked: they replace the defaults.
     outputs : sequence of str or Path
         Files that the notebook must write.
-    folder : str or Path, optional
-        Where it runs. Default: its own folder, as JupyterLab has it.
+    cwd : str or Path, optional
+        The folder that it runs in. Default: its own folder, as JupyterLab has it.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def run_notebook(
         leftover.unlink(missing_ok=True)
     start, started = time.time(), datetime.datetime.now(datetime.UTC)
     try:
-        _execute(notebook, running, parameters or {}, folder or notebook.resolve().parent)
+        _execute(notebook, running, parameters or {}, cwd or notebook.resolve().parent)
         _check_outputs(outputs, start, notebook)
         seconds = time.time() - start
         parameters = notebook_defaults(notebook) | (parameters or {})
@@ -95,7 +95,7 @@ def run_notebook(
         raise
 
 
-def _execute(notebook, running, parameters, folder):
+def _execute(notebook, running, parameters, cwd):
     """Papermill, with its failures as one RunError."""
     for name, value in PINNED.items():
         os.environ.setdefault(name, value)
@@ -127,7 +127,7 @@ def _execute(notebook, running, parameters, folder):
 
     try:
         how = {"kernel_name": KERNEL, "kernel_manager_class": Manager, "progress_bar": sys.stderr.isatty()}
-        papermill.execute_notebook(notebook, running, parameters, cwd=folder, **how)
+        papermill.execute_notebook(notebook, running, parameters, cwd=cwd, **how)
         for guard in guards:
             guard.stdin.write(b"done\n")
     except papermill.PapermillExecutionError as error:
