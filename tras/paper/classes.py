@@ -52,7 +52,7 @@ EXACT = [
 ]  # fmt: skip
 FLOOR = 1e-12  # smaller numbers are rounding in every unit used here: residuals that would be zero in exact arithmetic
 WIDER = 2.0  # a sensitive number may lie outside its interval by so many times the interval's width (docs/verify.md)
-LOST = "diverged"  # this count may also be one further, and then the row's errors are those of other windows
+LOST = "diverged"  # this count may also be one further, and then the row is compared by it alone
 
 # Cases of the comparison that one rounding unit of the data moves by more than 1e-7.
 RIVALS = (
@@ -181,13 +181,13 @@ def compare_table(ours: dict, theirs: dict, intervals: dict, rule: Exact, sensit
     rows = np.array([row for row in rows if row is not None], dtype=int)
     if len(rows) < len(numbers):
         return float("inf"), "a row is there twice"
-    others = _other_windows(ours, rows, intervals, there)
+    counted = _by_count(ours, rows, intervals, there)
     for name in (name for name in theirs if name in sensitive.values and name not in (sensitive.choice or ())[:1]):
         values = ours[name][rows]
         part = {end: intervals[f"{name}{end}"][there] for end in ("", *_ENDS) if f"{name}{end}" in intervals}
         if ".low" in part:
             shares = _interval_shares(values, part, rule, whole=1.0 if name == LOST else 0.0)
-            shares = np.where(others & (values.dtype.kind == "f"), 0.0, shares)
+            shares = np.where(counted & (values.dtype.kind == "f"), 0.0, shares)
         else:
             shares = _text_shares(values, part[""])
         i, outside = int(shares.argmax()), int((shares > 1).sum())
@@ -199,12 +199,17 @@ def compare_table(ours: dict, theirs: dict, intervals: dict, rule: Exact, sensit
     return worst
 
 
-def _other_windows(ours, rows, intervals, there):
-    """Which rows have lost so many windows as no perturbed copy has: their errors are those of other windows."""
+def _by_count(ours, rows, intervals, there):
+    """Which rows are compared by their lost windows alone.
+
+    Those that lose so many as no perturbed copy does, whose errors are of other windows, and those that lose half of
+    all or more, whose errors are of the few that happen to survive.
+    """
     if LOST not in ours:
         return False
     low, high = (intervals[f"{LOST}{end}"][there] for end in (".low", ".high"))
-    return (ours[LOST][rows] < low) | (ours[LOST][rows] > high)
+    lost = ours[LOST][rows]
+    return (lost < low) | (lost > high) | (2 * high >= ours["windows"][rows])
 
 
 def _wrong_choice(columns, rule):
