@@ -442,7 +442,7 @@ def test_in_a_browser_without_network(browser, site, width):
     opened.on("request", lambda request: requested.append(request.url))
     opened.on("console", lambda message: complaints.append(message.text))
     opened.on("pageerror", lambda error: complaints.append(str(error)))
-    for name in SHOWN.split():
+    for name in SHOWN:
         opened.goto((site / f"{name}.html").as_uri())
         assert opened.evaluate("document.documentElement.scrollWidth") <= width, name
         assert opened.evaluate("[...document.images].filter(i => !(i.complete && i.naturalWidth > 0)).length") == 0
