@@ -1,5 +1,6 @@
 """The site: no warning, links that lead somewhere, numbers from tables, text escaped; and in a browser."""
 
+import doctest
 import io
 import itertools
 import json
@@ -191,6 +192,17 @@ def test_every_public_name_has_a_page_with_an_example(site):
         assert ">>>" in getattr(tras, name).__doc__, name  # the doctests of tras/ run it
         assert ">>>" in page_of(site, f"api/tras.{name}").get_text(), name
     assert "tras.__version__" in text_of(page_of(site, "api"))
+
+
+@pytest.mark.slow
+def test_an_example_can_be_copied_from_its_page(capsys):
+    """The doctests see what their module imports; a reader begins with what the page of the reference says."""
+    begin = {}
+    exec("from tras import *", begin)
+    for name in sorted({*tras.__all__} - {"__version__"}):
+        example = doctest.DocTestParser().get_doctest(getattr(tras, name).__doc__, dict(begin), name, None, 0)
+        doctest.DocTestRunner(verbose=False, optionflags=doctest.ELLIPSIS).run(example)
+    assert "NameError" not in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -430,7 +442,7 @@ def test_in_a_browser_without_network(browser, site, width):
     opened.on("request", lambda request: requested.append(request.url))
     opened.on("console", lambda message: complaints.append(message.text))
     opened.on("pageerror", lambda error: complaints.append(str(error)))
-    for name in SHOWN.split():
+    for name in SHOWN:
         opened.goto((site / f"{name}.html").as_uri())
         assert opened.evaluate("document.documentElement.scrollWidth") <= width, name
         assert opened.evaluate("[...document.images].filter(i => !(i.complete && i.naturalWidth > 0)).length") == 0

@@ -189,6 +189,7 @@ def simulate_closed_loops(
 
     Examples
     --------
+    >>> import numpy as np
     >>> rng = np.random.default_rng(0)
     >>> rigs = [PlantParameters(K_psi=k) for k in rng.uniform(0.002, 0.004, 30)]
     >>> simulate_closed_loops(np.tile([0.3, 1.0], (101, 1)), 0.01, rigs).states.shape
