@@ -1,6 +1,7 @@
 """MATLAB's files: versions, layouts, objects, what is left out, the test set that a file brings, damage."""
 
 import struct
+import tracemalloc
 import zlib
 
 import h5py
@@ -739,6 +740,7 @@ HOLDS_ITSELF = [table_of(reference(1, 1)), DURATION]
         [table_of(reference(2, 1)), DURATION],
         [table_of(STEPS, rows=1e12), matrix([[1.0]])],
         [table_of(STEPS, rows=np.inf), matrix([[1.0]])],
+        [table_of(STEPS, rows=1e8, data=cells(), varNames=cells()), matrix([[1.0]])],
         [table_of(reference(2, 2), data=cells(matrix(X[:3]), matrix(U[:3]))), DURATION],
         [table_of(reference(2, 2), data=cells(matrix(X))), DURATION],
         [table_of(reference(2, 2), varNames=cells(matrix(X), matrix(U))), DURATION],
@@ -753,6 +755,18 @@ def test_objects_that_do_not_fit_are_left_out_with_advice(values, tmp_path):
     path = version5(tmp_path / "a.mat", reference(1, 1, ("timetable", "log")), whole)
     with pytest.raises(tras.RecordingError, match=r"(?s)left out: log .an object .timetable.*timetable2table\(log\)"):
         R.read(path)
+
+
+@pytest.mark.parametrize("place, number", [(0, 7), (1, 2**32 - 1), (1, 0), (2, 2), (4, 0), (4, 2**32 - 1), (5, 9)])
+def test_references_that_lie_cost_nothing(place, number, tmp_path):
+    label = bytearray(reference(1, 1, ("timetable", "log")))
+    label[-24 + 4 * place : len(label) - 24 + 4 * place + 4] = number.to_bytes(4, "little")
+    whole = store(("timetable", {"any": 0}), ("duration", {"millis": 1}), values=[table_of(reference(2, 2)), DURATION])
+    tracemalloc.start()
+    with pytest.raises(tras.RecordingError, match="left out: log .an object .timetable."):
+        R.read(version5(tmp_path / "a.mat", bytes(label), whole))
+    assert tracemalloc.get_traced_memory()[1] < 10**7
+    tracemalloc.stop()
 
 
 def test_many_variables_that_are_one_object_cost_one(tmp_path):
