@@ -241,7 +241,7 @@ def newer(kind, **attributes):
 @pytest.mark.parametrize("odd, words", [
     (HANDLE, "z .a function handle."), (COMPLEX, "z .complex numbers.; to have them, save real and imaginary part"),
     (SPARSE, "z .a sparse matrix.; to have them, save full"), (opaque("timeseries", "z"), "z .an object .timeseries.."),
-    (instance("zpk", "z", {"gain": text("x")}), ""), (newer("function_handle"), "z .a function handle."),
+    (instance("zpk", "z", {"gain": matrix(X)}), "z .an object .zpk.."), (newer("function_handle"), "z .a function handle."),
     (newer("timetable", MATLAB_object_decode=3), "z .an object .timetable.."), (newer(""), "z .complex numbers."),
     (newer("double", MATLAB_sparse=np.uint64(3)), "z .a sparse matrix."), (newer("string"), "z .of class string."),
 ])  # fmt: skip
@@ -356,6 +356,8 @@ def test_iddata(tmp_path):
     assert np.array_equal(recording.states[0], X) and np.array_equal(recording.inputs[0], U)
     assert recording.attributes["intersample"] == {"Position": "foh"}
     assert "an iddata object says what they are: outputs Angular Velocity, Voltage" in sentences(recording)
+    beside = version5(tmp_path / "b.mat", experiment_data("data", (X, U)), matrix(X, "x"))
+    assert "left out: x, beside an iddata object" in sentences(R.read(beside))
     chosen = R.read(tmp_path / "a.mat", {"inputs": ["Voltage"]})  # what the user says goes before what the file says
     assert chosen.state_names == ("Angular Velocity",) and chosen.attributes["intersample"] == {}
 
