@@ -52,6 +52,8 @@ def _source(variables):
         if says and claims and claims != says:
             raise RecordingError("its iddata objects have other channels or sampling times than each other.")
         says = says or claims
+        beside = [key for key, value in part.items() if claims and not iddata.is_iddata(value)]
+        remarks += [f"left out: {', '.join(beside[:8])}, beside an iddata object"] if beside else []
         test += range(len(trials), len(trials) + len(new)) if is_test else []
         trials += new
     remarks += workspace.left_out(unread)
