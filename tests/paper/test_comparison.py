@@ -1,4 +1,4 @@
-"""The comparison: the same rule for all, validation recordings unseen, every case counted, the table in the README."""
+"""The comparison: the same rule for all, validation recordings unseen, every case counted."""
 
 import numpy as np
 import pandas as pd
@@ -6,7 +6,7 @@ import pytest
 from sklearn.base import clone
 
 import tras
-from tras.paper import comparison, pages, tables
+from tras.paper import comparison
 from tras.paper.figures import comparison as figures_comparison
 
 FEW = ("DMDc", "Koopman, the paper's", "grey box")
@@ -214,36 +214,6 @@ def test_without_the_linear_model_there_is_nothing_to_relate_to():
 def test_a_table_without_its_columns_is_refused(draw):
     with pytest.raises(ValueError, match="table lacks the columns"):
         draw(pd.DataFrame({"method": ["a"]}))
-
-
-@pytest.mark.slow
-def test_the_readme_holds_the_table(results, tmp_path, capsys):
-    results["scores"].to_csv(tmp_path / "comparison.csv", index=False)
-    readme = tmp_path / "README.md"
-    begin, end = pages.markers("comparison")
-    readme.write_text(f"a\n{begin}\n{end}\nb\n")
-    call = ["comparison", f"--data={tmp_path}", f"--pages={tmp_path}"]
-    assert pages.main([*call, "--write"]) == 0
-    text = readme.read_text()
-    assert text.count("\n| DMDc | 28 |") == 1 and text.endswith("b\n")
-    assert "grey box, the plant's own equations" in text and "| grey box" not in text
-    rows = results["scores"].query("method == 'DMDc' and input == 'torque' and horizon == 1")
-    error = rows.query("angle == 'yaw' and recording == 'multisine 2'")["nrmse"].iloc[0]
-    assert f"| {error:.3g} / " in text
-    assert pages.main(call) == 0 and "| DMDc | 28 |" in capsys.readouterr().out
-    readme.write_text("no markers")
-    assert pages.main([*call, "--write"]) == 2 and "must hold" in capsys.readouterr().err
-    assert pages.main([call[0], f"--data={tmp_path / 'none'}"]) == 2 and "make all" in capsys.readouterr().err
-    with pytest.raises(ValueError, match="no multisine"):
-        tables.methods([])
-
-
-def test_lost_predictions_stand_in_the_table():
-    about = {"method": "M", "input": "torque", "recording": "multisine 2", "parameters": "7"}
-    window = {"horizon": "6", "nrmse": "1.5", "windows": "4", "diverged": "1"}
-    free = {"horizon": "500", "nrmse": "", "windows": "4", "diverged": "4"}
-    rows = [{**about, **kind, "angle": angle} for kind in (window, free) for angle in ("yaw", "pitch")]
-    assert "| M | 7 | - | 1.5 / 1.5 (1 of 4 diverged) | - / - (4 of 4 diverged) |" in tables.methods_markdown(rows)
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The tables of the README: the paper's numbers beside ours, and the methods that were compared; none of them is typed.
+"""The paper's numbers beside ours, as tables for the README, the notebooks and a terminal; none of them is typed.
 
 `tras.paper.pages` prints them and writes them into the pages.
 """
@@ -7,7 +7,6 @@ import csv
 import itertools
 import math
 import operator
-import statistics
 from numbers import Integral
 
 from tras.workflow.files import markdown_table
@@ -30,8 +29,6 @@ _FIRST = [
     ("window", "bfr", "pitch"),
 ]
 _FIRST += [("free run", "nrmse", "pitch")]  # the rows that tell most, for the README
-_BOUND = "grey box"  # knows the equations: it stands in a sentence below the table of methods
-_METHOD_COLUMNS = (("reference", "window"), ("torque", "window"), ("torque", "free run"))
 _METRICS = {"nrmse": "NRMSE (%)", "enr": "Enr", "bfr": "BFR (%)", "condition": "condition number of the liftings"}
 
 
@@ -147,61 +144,3 @@ def _number(row):
         return f"{row['median']:.5g}"
     digits = max(1, 2 - math.floor(math.log10(row["highest"])))  # three significant ones in the largest
     return "{median:.{digits}f} ({lowest:.{digits}f} to {highest:.{digits}f})".format(**row, digits=digits)
-
-
-# --- methods beside ours ----------------------------------------------------------------------------------------------
-
-
-def methods(rows: list[dict]) -> tuple[dict, list[float]]:
-    """Errors of each method over the multisines of ``comparison.csv``, from its rows.
-
-    Returns
-    -------
-    entries : dict
-        Method -> {"parameters": {input: count}, (input, kind, angle): [errors, diverged, windows]}.
-    horizons : list of float
-    """
-    rows = [row for row in rows if row["recording"].startswith("multisine")]
-    if not rows:
-        raise ValueError("the comparison holds no multisine recording; make it again with make all.")
-    horizons = sorted({float(row["horizon"]) for row in rows})
-    if len(horizons) < 2:
-        raise ValueError(f"the comparison holds the horizons {horizons}; at least a window and a free run are needed.")
-    kinds = {horizons[-2]: "window", horizons[-1]: "free run"}
-    entries = {}
-    for row in rows:
-        entry = entries.setdefault(row["method"], {"parameters": {}})
-        entry["parameters"][row["input"]] = row["parameters"]
-        if float(row["horizon"]) in kinds:
-            values = entry.setdefault((row["input"], kinds[float(row["horizon"])], row["angle"]), [[], 0, 0])
-            values[0].append(float(row["nrmse"] or "nan"))
-            values[1] += int(row["diverged"])
-            values[2] += int(row["windows"])
-    return entries, horizons
-
-
-def methods_markdown(rows: list[dict]) -> str:
-    """The table of methods, and a sentence on the grey box."""
-    entries, horizons = methods(rows)
-    bound = entries.pop(_BOUND, None)
-    spans = dict(zip(("window", "free run"), (f"{horizon:g} s" for horizon in horizons[-2:])))
-    lines = [["method", "parameters", *(f"{name}, {spans[kind]}: yaw / pitch" for name, kind in _METHOD_COLUMNS)]]
-    for method, entry in entries.items():
-        counts = dict.fromkeys(str(int(float(count))) for count in entry["parameters"].values() if count)
-        lines.append([method, "; ".join(counts), *(_yaw_pitch(entry, *column) for column in _METHOD_COLUMNS)])
-    text = markdown_table(lines)
-    if bound is None:
-        return text
-    errors = f"{_yaw_pitch(bound, 'torque', 'window')} % over {spans['window']}"
-    about = f"The {_BOUND}, the plant's own equations with eight parameters from the same data"
-    return f"{text}\n\n{about}, has {errors}: the bound."
-
-
-def _yaw_pitch(entry, *column):
-    cells, divergence = [], ""
-    for angle in ("yaw", "pitch"):
-        errors, diverged, windows = entry.get((*column, angle), ([], 0, 0))
-        errors = [error for error in errors if not math.isnan(error)]
-        cells.append(f"{statistics.median(errors):.3g}" if errors else "-")
-        divergence = f" ({diverged} of {windows} diverged)" if diverged else ""
-    return " / ".join(cells) + divergence if entry.get((*column, "yaw")) else "-"
