@@ -308,10 +308,9 @@ class _Assignment:
     def line(self, number, name):
         """(number and name, unit, range, guess) of a column, as text."""
         column, unit = self.values(name), self.units.get(name, "")
-        finite = column[np.isfinite(column)] if column is not None else ()
-        span = f"{min(finite):.5g} to {max(finite):.5g}" if len(finite) else "no numbers"
-        if len(finite) and min(finite) == max(finite):
-            span = f"always {finite[0]:.5g}"
+        finite = column[np.isfinite(column)] if column is not None else np.empty(0)
+        low, high = (finite.min(), finite.max()) if finite.size else (np.nan, np.nan)
+        span = f"{low:.5g} to {high:.5g}" if low < high else f"always {low:.5g}" if finite.size else "no numbers"
         return str(number), name, unit, span, self.reasons.get(name, "left out")
 
 
