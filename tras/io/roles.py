@@ -258,7 +258,9 @@ class _Assignment:
         if any(column is None for part in columns for column in part) or not evidence.are_apart(*columns):
             return []
         pairs = ", ".join(f"{state} with {inp}" for state, inp in zip(states, inputs))
-        self.why.append(f"{pairs} may be experiments side by side, as nothing of one shows in another")
+        self.why.append(
+            f"{pairs} may be experiments side by side: nothing of one shows in another, or their inputs are alike"
+        )
         return states, inputs
 
     def doubtful(self, states):
