@@ -241,7 +241,7 @@ def newer(kind, **attributes):
 @pytest.mark.parametrize("odd, words", [
     (HANDLE, "z .a function handle."), (COMPLEX, "z .complex numbers.; to have them, save real and imaginary part"),
     (SPARSE, "z .a sparse matrix.; to have them, save full"), (opaque("timeseries", "z"), "z .an object .timeseries.."),
-    (instance("zpk", "z", {"gain": matrix(X)}), "z .an object .zpk.."), (newer("function_handle"), "z .a function handle."),
+    (instance("zpk", "z", {"gain": matrix(X)}), "z .an object .zpk.."), (newer("function_handle"), "z .a function"),
     (newer("timetable", MATLAB_object_decode=3), "z .an object .timetable.."), (newer(""), "z .complex numbers."),
     (newer("double", MATLAB_sparse=np.uint64(3)), "z .a sparse matrix."), (newer("string"), "z .of class string."),
 ])  # fmt: skip

@@ -191,3 +191,11 @@ def test_a_shared_time_of_experiments_side_by_side(drives):
     table = pd.read_csv(drives).assign(t=T)
     roles = {"time": "t", "states": ["z1;z2;z3"], "inputs": ["u1;u2;u3"]}
     assert R.read(log(drives, **table), roles).dt == 0.02
+
+
+def test_repetitions_side_by_side(tmp_path):
+    u = np.sign(np.random.default_rng(0).normal(size=N))
+    rough = np.random.default_rng(1).normal(size=(2, N)) / 50
+    z = np.convolve(np.abs(u), 0.9 ** np.arange(N))[:N]
+    with pytest.raises(tras.RecordingError, match="STATES='z1;z2' INPUTS='u1;u2'"):
+        R.read(log(tmp_path / "a.csv", z1=z + rough[0], z2=2 * z + rough[1], u1=u, u2=2 * u))

@@ -270,6 +270,9 @@ class _Assignment:
         if self.kinds[name] == "beside" or self.reasons.get(name, "").startswith("left"):
             return False
         column = self.values(name)
+        if column is not None and len(column) > 2 and clock.is_counter(column):
+            self.reasons[name] = "left out: counts the rows"
+            return False
         return column is not None and evidence.moves(column)
 
     def answer(self, roles, open_columns):

@@ -353,6 +353,8 @@ class _Table:
         if wrong:
             cell, line = cells[wrong[0]], self.locate(0, wrong[0])
             what, cure = "no number", "repair it, leave it empty, or leave the column out by roles"
+            if re.search(r"\d[/:]\d", cell):
+                cure = "an instant is written as 2026-02-28 12:00:00.010"
             if self.decimal == "," and "." in cell:
                 what = "no number where others have a decimal comma"
             elif re.fullmatch(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d*)?", cell):
