@@ -163,13 +163,16 @@ def test_a_signal_of_another_length_is_left_out_and_said(tmp_path):
 
 
 @pytest.mark.parametrize("kind, words", [
-    ("link", "is a link to somewhere else"), ("external", "lie in another file"), ("circle", "nested more than 8"),
+    ("link", "is a link to somewhere else"), ("objects", "'MCOS' is a link to somewhere else"),
+    ("external", "lie in another file"), ("circle", "nested more than 8"),
 ])  # fmt: skip
 def test_newer_files_that_lead_elsewhere_are_refused(kind, words, tmp_path):
     hdf(tmp_path / "a.mat", {"t": TIME, "x": X})
     with h5py.File(tmp_path / "a.mat", "r+") as file:
         if kind == "link":
             file["z"] = h5py.ExternalLink("/etc/passwd", "/")
+        elif kind == "objects":
+            file["#subsystem#/MCOS"] = h5py.ExternalLink("/etc/passwd", "/")
         elif kind == "external":
             file.create_dataset("z", (4, 1), "u1", external=[("/etc/passwd", 0, 4)])
         else:
