@@ -261,6 +261,15 @@ def test_what_is_not_read_is_left_out_and_said(odd, words, tmp_path):
         assert not words or __import__("re").search(f"left out: {words}", sentences(recording))
 
 
+def test_a_name_as_long_as_a_book_is_no_name(tmp_path):
+    savemat(tmp_path / "a.mat", {"log": scope(TIME, X, labels=["q" * 10**6]), "u": U})
+    with pytest.raises(
+        tras.RecordingError, match="a signal has a name of 1000000 letters; up to 1000 are read"
+    ) as error:
+        R.read(tmp_path / "a.mat")
+    assert len(str(error.value)) < 1000
+
+
 def test_what_is_not_read_in_structs_and_cells(tmp_path):
     savemat(tmp_path / "a.mat", {"log": {"t": TIME, "x": X, "u": U, "G": X + 1j}, "z": cell(X + 1j, X)})
     recording = R.read(tmp_path / "a.mat", {"time": "t", "states": ["x1", "x2"], "inputs": ["u"]})
