@@ -163,13 +163,16 @@ def test_a_signal_of_another_length_is_left_out_and_said(tmp_path):
 
 
 @pytest.mark.parametrize("kind, words", [
-    ("link", "is a link to somewhere else"), ("external", "lie in another file"), ("circle", "nested more than 8"),
+    ("link", "is a link to somewhere else"), ("objects", "'MCOS' is a link to somewhere else"),
+    ("external", "lie in another file"), ("circle", "nested more than 8"),
 ])  # fmt: skip
 def test_newer_files_that_lead_elsewhere_are_refused(kind, words, tmp_path):
     hdf(tmp_path / "a.mat", {"t": TIME, "x": X})
     with h5py.File(tmp_path / "a.mat", "r+") as file:
         if kind == "link":
             file["z"] = h5py.ExternalLink("/etc/passwd", "/")
+        elif kind == "objects":
+            file["#subsystem#/MCOS"] = h5py.ExternalLink("/etc/passwd", "/")
         elif kind == "external":
             file.create_dataset("z", (4, 1), "u1", external=[("/etc/passwd", 0, 4)])
         else:
@@ -241,8 +244,7 @@ def newer(kind, **attributes):
 @pytest.mark.parametrize("odd, words", [
     (HANDLE, "z .a function handle."), (COMPLEX, "z .complex numbers.; to have them, save real and imaginary part"),
     (SPARSE, "z .a sparse matrix.; to have them, save full"), (opaque("timeseries", "z"), "z .an object .timeseries.."),
-    (instance("zpk", "z", {"gain": matrix(X)}), "z .an object .zpk.."),
-    (newer("function_handle"), "z .a function handle."),
+    (instance("zpk", "z", {"gain": matrix(X)}), "z .an object .zpk.."), (newer("function_handle"), "z .a function"),
     (newer("timetable", MATLAB_object_decode=3), "z .an object .timetable.."), (newer(""), "z .complex numbers."),
     (newer("double", MATLAB_sparse=np.uint64(3)), "z .a sparse matrix."), (newer("string"), "z .of class string."),
 ])  # fmt: skip
@@ -257,6 +259,15 @@ def test_what_is_not_read_is_left_out_and_said(odd, words, tmp_path):
         recording = R.read(tmp_path / "a.mat", roles)
         assert np.array_equal(recording.states[0], X) and np.array_equal(recording.inputs[0], U)
         assert not words or __import__("re").search(f"left out: {words}", sentences(recording))
+
+
+def test_a_name_as_long_as_a_book_is_no_name(tmp_path):
+    savemat(tmp_path / "a.mat", {"log": scope(TIME, X, labels=["q" * 10**6]), "u": U})
+    with pytest.raises(
+        tras.RecordingError, match="a signal has a name of 1000000 letters; up to 1000 are read"
+    ) as error:
+        R.read(tmp_path / "a.mat")
+    assert len(str(error.value)) < 1000
 
 
 def test_what_is_not_read_in_structs_and_cells(tmp_path):

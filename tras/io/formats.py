@@ -149,7 +149,8 @@ def _roles(source, header, spec, paths):
         return cache[name]
 
     try:
-        return assign(source.names, spec, source.units, source.dt, values)
+        with np.errstate(over="ignore", invalid="ignore"):  # of columns that hold infinity
+            return assign(source.names, spec, source.units, source.dt, values)
     except Question as question:
         remarks = "".join(f"\nNoticed: {remark}." for remark in source.remarks)
         raise RecordingError(screen(question, paths) + remarks) from None

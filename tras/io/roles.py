@@ -273,7 +273,9 @@ class _Assignment:
         if any(column is None for part in columns for column in part) or not evidence.are_apart(*columns):
             return []
         pairs = ", ".join(f"{state} with {inp}" for state, inp in zip(states, inputs))
-        self.why.append(f"{pairs} may be experiments side by side, as nothing of one shows in another")
+        self.why.append(
+            f"{pairs} may be experiments side by side: nothing of one shows in another, or their inputs are alike"
+        )
         return states, inputs
 
     def doubtful(self, states):
@@ -323,10 +325,9 @@ class _Assignment:
     def line(self, number, name):
         """(number and name, unit, range, guess) of a column, as text."""
         column, unit = self.values(name), self.units.get(name, "")
-        finite = column[np.isfinite(column)] if column is not None else ()
-        span = f"{min(finite):.5g} to {max(finite):.5g}" if len(finite) else "no numbers"
-        if len(finite) and min(finite) == max(finite):
-            span = f"always {finite[0]:.5g}"
+        finite = column[np.isfinite(column)] if column is not None else np.empty(0)
+        low, high = (finite.min(), finite.max()) if finite.size else (np.nan, np.nan)
+        span = f"{low:.5g} to {high:.5g}" if low < high else f"always {low:.5g}" if finite.size else "no numbers"
         return str(number), name, unit, span, self.reasons.get(name, "left out")
 
 

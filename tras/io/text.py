@@ -223,10 +223,11 @@ class _Table:
                 return frame
         except RecordingError as error:
             frame, cause = None, error
-        comments = re.sub(rb"(?m)^[ \t]*[#%].*$", b"", self.content)
-        if comments != self.content:
-            self._content = comments
-            return self._frame()
+        if b"#" in self.content or b"%" in self.content:
+            without = re.sub(rb"(?m)^[ \t]*[#%].*$", b"", self.content)  # comments between the rows
+            if without != self.content:
+                self._content = without
+                return self._frame()
         if frame is None:
             rows = self._rows(
                 self.layout.width
@@ -270,7 +271,7 @@ class _Table:
         for i, name in enumerate(self.layout.names):
             column = frame[i]
             if not _holds_numbers(column) and dialect.is_number(_first(column)):  # exponents with D, a rest cut off
-                numbers, _, wrong = _converted(column, self.decimal)
+                numbers, wrong = _converted(column, self.decimal)
                 column = column if wrong else pd.Series(numbers, column.index)
             count = int(column.count()) if column.hasnans else len(column)
             if count <= _FEW * len(column) and not guess_role(name):
@@ -349,9 +350,9 @@ class _Table:
         column = self.columns[name]
         if _holds_numbers(column):
             return column.to_numpy(dtype=float)
-        numbers, cells, wrong = _converted(column, self.decimal)
+        numbers, wrong = _converted(column, self.decimal)
         if wrong:
-            cell, line = cells[wrong[0]], self.locate(0, wrong[0])
+            line, cell = self.locate(0, wrong[0]), wrong[1]
             what, cure = "no number", "repair it, leave it empty, or leave the column out by roles"
             if re.search(r"\d[/:]\d", cell):
                 cure = "an instant is written as 2026-02-28 12:00:00.010"
@@ -398,18 +399,19 @@ def _is_number(cell):
 
 
 def _converted(column, decimal):
-    """(numbers, stripped cells, places of those that are neither a number nor missing) of a column of text."""
-    cells = ["" if cell != cell else str(cell).strip() for cell in column]
-    numbers = np.array([_number(cell, decimal) for cell in cells], dtype=float)
-    wrong = [k for k in np.flatnonzero(np.isnan(numbers)) if cells[k].lower() not in dialect.MISSING]
-    return numbers, cells, wrong
+    """(the numbers of a column of text, None), or (None, (row, cell)) of the first that is neither one nor missing."""
+    numbers = np.empty(len(column))
+    for row, cell in enumerate(column):
+        text = "" if cell != cell else str(cell).strip()
+        numbers[row] = _number(text, decimal)
+        if numbers[row] != numbers[row] and text.lower() not in dialect.MISSING:
+            return None, (row, text)
+    return numbers, None
 
 
 def _number(cell, decimal):
     """A stripped cell as a float, NaN if it is none."""
-    if (
-        not cell.isascii() or "_" in cell or (decimal == "," and "." in cell)
-    ):  # float reads 1_000, digits of all scripts
+    if not cell.isascii() or "_" in cell or (decimal == "," and "." in cell):  # float reads 1_000 and other digits
         return np.nan
     plain = _FORTRAN.sub("e", cell)
     try:
