@@ -33,9 +33,11 @@ BUILD := build/$(PROFILE)
 ifeq ($(PROFILE),paper)
 DATA := data
 FIGURES := figures
+DOCS := build/docs
 else
 DATA := $(BUILD)/data
 FIGURES := $(BUILD)/figures
+DOCS := $(BUILD)/docs
 endif
 
 # --- stages and what they write; every file is named, so that a deleted one is made again ----------------------------------------
@@ -79,29 +81,34 @@ LOCKED := $(shell cat $(LOCKS) 2>/dev/null | { sha256sum || shasum -a 256; } 2>/
 READY := .venv/.ready-$(LOCKED)
 PY := .venv/bin/python
 
-.PHONY: help setup all stages paper figures report sweep smoke lint check test verify bless lab lock readme clean distclean bench bench-test identify \
+.PHONY: help setup all stages paper figures docs sweep smoke lint check test verify bless lab lock readme clean distclean bench bench-test identify \
   example FORCE
 
-help: ## list the targets (this text)
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
+# A comment `## GROUP | TIME | TEXT` behind a target puts it into the list; times are those of two cores, with the environment there.
+help: # this text
+	@for group in replicate explore "your rig" maintain; do \
+	  echo "$$group:"; \
+	  awk -v group="$$group" -F ':.*## | \\| ' \
+	    '/^[a-z-]+:.*## / && $$2 == group { printf "  make %-10s %7s  %s\n", $$1, $$3, $$4 }' Makefile; \
+	done
 	@echo "Another parameter set: make all PROFILE=NAME reads params/NAME.yaml and writes below build/NAME/."
 
-setup: $(READY) ## create .venv from environment.txt (the other targets do it by themselves)
+setup: $(READY) ## maintain | 1 min | create .venv from environment.txt (the other targets do it by themselves)
 
-all: stages ## everything: data, models, figures, further studies; prints the table
+all: stages ## replicate | 8 min | everything: data, models, figures, further studies; prints the table
 	@$(PY) -m tras.paper.pages table --figures $(FIGURES) $(if $(filter paper,$(PROFILE)),--check)
 
 stages: $(STAMPS) $(OUTPUTS)
 
-paper: $(PAPER_STAGES:%=$(BUILD)/%.ipynb) $(PAPER_OUTPUTS) ## the paper's own figures and numbers
+paper: $(PAPER_STAGES:%=$(BUILD)/%.ipynb) $(PAPER_OUTPUTS) ## replicate | 45 s | the paper's own figures and numbers
 
-figures: $(BUILD)/04_figures.ipynb $(OUT_04) ## all figures, and what they need
+figures: $(BUILD)/04_figures.ipynb $(OUT_04) ## replicate | 45 s | their figures alone, and what they need
 
-report: stages ## one page that tells it all and needs no network: build/paper/report.html
-	@$(PY) -m tras.paper.report $(BUILD)/report.html --data $(DATA) --figures $(FIGURES) --build $(BUILD)
+docs: stages ## explore | + 20 s | the documentation site, readable without network: build/docs/index.html
+	@$(PY) docs/make_site.py $(DOCS) --data $(DATA) --figures $(FIGURES) --build $(BUILD)
 
 SWEEP ?= params/sweeps/dictionaries.yaml
-sweep: $(READY) ## many fits, described by SWEEP=params/sweeps/dictionaries.yaml, on this machine's cores or SCHEDULER=tcp://host:8786
+sweep: $(READY) ## explore |  | many fits: SWEEP=params/sweeps/dictionaries.yaml, on this machine or SCHEDULER=tcp://host:8786
 	@$(PY) -m tras.sweeps.command $(SWEEP) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
 # RECORDING=log.csv, "a.csv b.csv" or "run*.csv", and where names are not plain ROLES=roles.yaml or STATES=a,b INPUTS=c TIME=t TRIAL=run; also
@@ -110,73 +117,75 @@ IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL TEST FROM TO DECIMATE DT RESAMPLE
 quoted = '$(subst ','\'',$(1))'
 lower = $(shell printf %s "$(1)" | tr A-Z a-z)
 
-identify: $(READY) ## a model of your own system: make identify RECORDING=log.csv (docs/own_rig.md)
+identify: $(READY) ## your rig | 15 s | a model of your own system: make identify RECORDING=log.csv (docs/own_rig.md)
 	@$(if $(RECORDING),,echo "say which recording: make identify RECORDING=log.csv (make example writes one to try)" >&2; exit 2)
 	@$(PY) -m tras.identification.command $(call quoted,$(RECORDING)) $(foreach name,$(IDENTIFY),$(if $($(name)),--$(call lower,$(name))=$(call quoted,$($(name)))))
 
-example: $(READY) ## recordings of two simulated systems to try it on, in build/example/
+example: $(READY) ## your rig |  | recordings of two simulated systems to try it on, in build/example/
 	@$(PY) -m tras.identification.examples duffing build/example/duffing.csv
 	@$(PY) -m tras.identification.examples cart_pole build/example/cart_pole.csv
 
-smoke: $(READY) ## the same stages, small, below build/smoke/
+smoke: $(READY) ## maintain |  | the same stages, small, below build/smoke/
 	@$(MAKE) PROFILE=smoke stages
 
-lint: $(READY) ## ruff, as configured in pyproject.toml
+lint: $(READY) ## maintain | 1 s | ruff, as configured in pyproject.toml
 	@$(PY) -m ruff check
 	@$(PY) -m ruff format --check
 
-check: lint ## two minutes for a developer: lint, layers, and every test that is not slow
+check: lint ## maintain | 2 min | for a developer: lint, layers, and every test that is not slow
 	@MPLBACKEND=Agg $(PY) -m pytest -q -x -m "not slow"
 
-test: $(READY) ## unit tests, then every notebook of the small profile rerun and compared
-	@status=0; \
-	MPLBACKEND=Agg $(PY) -m pytest || status=1; \
+test: $(READY) ## maintain | 8 min | unit tests, then every notebook of the small profile rerun and compared
+	@failed=; \
+	MPLBACKEND=Agg $(PY) -m pytest || failed="unit tests"; \
 	$(MAKE) PROFILE=smoke stages \
 	  && $(MAKE) example && $(MAKE) identify RECORDING=build/example/duffing.csv OUT=build/smoke/identify \
-	  && $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) build/smoke/identify/identify.ipynb || status=1; \
-	exit $$status
+	  && $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) build/smoke/identify/identify.ipynb \
+	  || failed="$${failed:+$$failed, }notebooks of the small profile"; \
+	test -z "$$failed" || { echo "make test: FAILED ($$failed): see the first failure of each above." >&2; exit 1; }; \
+	echo "make test: the unit tests passed, and every notebook of the small profile gives what it gave."
 
 # notebooks/.jupyter turns off JupyterLab's question about news, which would come before everything else.
-lab: $(READY) ## open the explorer in JupyterLab, the other notebooks beside it
+lab: $(READY) ## explore |  | open the explorer in JupyterLab, the other notebooks beside it
 	JUPYTER_CONFIG_PATH=notebooks/.jupyter $(PY) -m jupyterlab --ServerApp.root_dir=. $(if $(filter 0,$(shell id -u)),--allow-root) notebooks/explore.ipynb
 
-lock: ## resolve environment.in, and what builds its sources, anew (needs uv; UPGRADE=1 for newer versions)
+lock: ## maintain |  | resolve environment.in, and what builds its sources, anew (needs uv; UPGRADE=1 for newer versions)
 	@command -v uv >/dev/null || { echo "make lock needs uv, which was not found on PATH: python3 -m pip install uv." >&2; exit 1; }
 	$(compile) environment.in --output-file environment.txt
 	printf 'setuptools\nwheel\n' | $(compile) --no-annotate --constraint environment.txt - --output-file environment-build.txt
 
 ifeq ($(PROFILE),paper)
-verify: reference/SHA256SUMS $(STAMPS) $(OUTPUTS) ## compare data, models and figures with reference/: bytes, numbers, looks
+verify: reference/SHA256SUMS $(STAMPS) $(OUTPUTS) ## replicate |  | compare data, models and figures with reference/: bytes, numbers, looks
 	@$(PY) -m tras.paper.verification --paper $(PAPER_OUTPUTS) --studies $(STUDY_OUTPUTS)
 
 reference/SHA256SUMS: # said before anything is built
 	@echo "$@ does not exist, so there is nothing to compare with: git checkout reference, or make bless to take this machine's results." >&2; exit 2
 
-bless: $(STAMPS) $(OUTPUTS) ## take them as the new reference/ (nothing else writes there)
+bless: $(STAMPS) $(OUTPUTS) ## maintain |  | take them as the new reference/ (nothing else writes there)
 	@$(PY) -m tras.paper.verification --bless --paper $(PAPER_OUTPUTS) --studies $(STUDY_OUTPUTS)
 else
 verify bless:
 	@echo "make $@ is for PROFILE=paper, whose numbers reference/ holds; for PROFILE=$(PROFILE) there is no reference." >&2; exit 2
 endif
 
-readme: $(READY) ## write the tables of README.md and docs/paper.md
+readme: $(READY) ## maintain |  | write the tables of README.md and docs/paper.md
 	@$(MAKE) PROFILE=paper stages
 	@$(PY) -m tras.paper.pages --write
 
-bench-test: $(READY) ## tests of the harness of make bench
+bench-test: $(READY) ## maintain |  | tests of the harness of make bench
 	@$(PY) -m pytest benchmarks/tests
 
-bench: $(READY) ## beside other packages: time, memory, accuracy; BENCH="--help" lists parts of it
+bench: $(READY) ## maintain |  | beside other packages: time, memory, accuracy; BENCH="--help" lists parts of it
 	@$(PY) -m benchmarks.bench $(BENCH)
 
-clean: ## remove build/ and what is generated and not in git (of the figures PNG and CSV are in git and stay)
+clean: ## maintain |  | remove build/ and what is generated and not in git (of the figures PNG and CSV are in git and stay)
 	rm -rf build
 	rm -f $(filter data/% figures/%.pdf figures/%.svg,$(OUTPUTS))
 	rm -rf data/cache
 	rm -rf $(addsuffix provenance,$(sort $(dir $(OUTPUTS))))
 	@rmdir data/models 2>/dev/null || true
 
-distclean: clean ## clean, and .venv too
+distclean: clean ## maintain |  | clean, and .venv too
 	rm -rf .venv
 
 # --- how ---------------------------------------------------------------------------------------------------------------------------

@@ -4,6 +4,13 @@ Every function takes truth and prediction of shape (..., samples, n), or two lis
 differ, and returns one value per channel, over all trajectories and samples together. Only `judge` leaves diverged
 predictions out, and counts them. Shapes that differ, no trajectory at all, and NaN or infinity in the truth are a
 ValueError.
+
+Examples
+--------
+>>> from tras import metrics
+>>> truth, prediction = [[0.0], [1.0], [2.0]], [[0.0], [1.0], [1.0]]
+>>> metrics.nrmse(truth, prediction), metrics.bfr(truth, prediction)
+(array([28.87]), array([29.29]))
 """
 
 from dataclasses import dataclass

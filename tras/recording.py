@@ -345,9 +345,9 @@ class Recording:
         Parameters
         ----------
         path : str or pathlib.Path, or a sequence of them
-            .nc (written by `write`), .parquet, .mat (versions 4 to 7.3: arrays, structs, structs with Time and Data,
-            cell arrays of trials), or a text table: .csv, .txt, .dat, .tsv, .log, .lvm, as loggers, oscilloscopes and
-            spreadsheets write them. Several files are trials if they have the same columns, else signals of one
+            .nc (written by `write`), .parquet, .mat (versions 4 to 7.3: arrays, structs, iddata, timetables, Simulink's
+            logs, cell arrays of trials), or a text table: .csv, .txt, .dat, .tsv, .log, .lvm, as loggers, oscilloscopes
+            and spreadsheets write them. Several files are trials if they have the same columns, else signals of one
             recording, merged by time.
         roles : dict or path of a YAML file, optional
             ``time`` and ``trial``: a column each (or null); ``states`` (or ``outputs``) and ``inputs``: lists of
@@ -413,7 +413,7 @@ class Recording:
         wishes = sampling.Wishes(resample, missing, tolerance, start, end, decimate)
         test = [test] if isinstance(test, (str, Path, int)) else test
         try:
-            return cls(**formats.read(paths, roles, dt=dt, test=test, wishes=wishes))
+            return cls(**_usable(formats.read(paths, roles, dt=dt, test=test, wishes=wishes)))
         except (FileNotFoundError, MissingExtraError):
             raise
         except Exception as error:  # damaged files make the libraries below raise anything
@@ -474,16 +474,15 @@ class Recording:
         wishes = sampling.Wishes(resample, missing, tolerance, start, end, decimate)
         test = [test] if isinstance(test, int) else test
         try:
-            return cls(
-                **formats.recording_of(frame.open_table(dataframe), [], roles, dt=dt, trials=test, wishes=wishes)
-            )
+            content = formats.recording_of(frame.open_table(dataframe), [], roles, dt=dt, trials=test, wishes=wishes)
+            return cls(**_usable(content))
         except ValueError as error:
             raise RecordingError(str(error)) from error
 
     def _of(self, states, inputs, origins):
         """`with_data` of trajectories that come from those with the numbers ``origins``: the test set stays one."""
         new = self.with_data(states, inputs)
-        held_back = self._held_back()
+        held_back = self.held_back()
         new._hold_back([i for i, origin in enumerate(origins) if origin in held_back])
         return new
 
@@ -498,9 +497,9 @@ class Recording:
             new._hold_back([])  # the numbers were those of other trajectories
         return new
 
-    def _held_back(self):
-        """Numbers of the trajectories for the test; a file may hold anything under this name."""
-        numbers = self.attributes.get(_TEST)
+    def held_back(self) -> list[int]:
+        """Numbers of the trajectories that are for the test (attribute ``test_trajectories``), or []."""
+        numbers = self.attributes.get(_TEST)  # a file may hold anything under this name
         return [i for i in range(len(self)) if i in numbers] if isinstance(numbers, list) else []
 
     def _hold_back(self, numbers):
@@ -508,6 +507,32 @@ class Recording:
         self.attributes.pop(_TEST, None)
         if numbers:
             self.attributes[_TEST] = numbers
+
+
+def _usable(content):
+    """What a reader returns, channels with names that a recording can have: a topic of ROS, `/imu/x`, is `imu.x`."""
+    labels = {role: content[f"{role}_names"] for role in ("state", "input")}
+    taken, new = {name for names in labels.values() for name in names if _is_name(name)}, {}
+    for name in (name for names in labels.values() for name in names if not _is_name(name)):
+        plain = name.replace("\0", "").strip("/.").replace("/", ".") or "channel"
+        while plain in taken or not _is_name(plain):
+            plain += "_"
+        taken.add(plain)
+        new[name] = plain
+    if new:
+        content |= {f"{role}_names": [new.get(name, name) for name in names] for role, names in labels.items()}
+        attributes = content["attributes"]
+        attributes["noticed"] = [
+            *attributes.get("noticed", []),
+            *(f"{old!r} is called {name}" for old, name in new.items()),
+        ]
+        if "intersample" in attributes:
+            attributes["intersample"] = {new.get(key, key): word for key, word in attributes["intersample"].items()}
+    return content
+
+
+def _is_name(name):
+    return bool(name) and "/" not in name and "\0" not in name and name != "." and name not in _RESERVED
 
 
 def join(recordings: Recording | Iterable[Recording]) -> Recording:
@@ -533,7 +558,7 @@ def join(recordings: Recording | Iterable[Recording]) -> Recording:
     for i, other in enumerate(several[1:], start=1):
         require_alike(first, other, i)
     joined = first.with_data([x for each in several for x, _ in each], [u for each in several for _, u in each])
-    joined._hold_back([k for r, before in _offsets(several) for k in (before + i for i in r._held_back())])
+    joined._hold_back([k for r, before in _offsets(several) for k in (before + i for i in r.held_back())])
     return joined
 
 
@@ -614,7 +639,7 @@ def _labels(role, letter, trajectories, names, units):
             if not isinstance(label, str):
                 raise ValueError(f"{role}_{kind} holds {label!r}; give strings.")
     for name in names:
-        if not name or "/" in name or "\0" in name or name == "." or name in _RESERVED:
+        if not _is_name(name):
             raise ValueError(
                 f"{role}_names holds {name!r}; give names that are not empty, have no '/' "
                 f"and are none of {', '.join(_RESERVED)}."

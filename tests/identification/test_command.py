@@ -2,15 +2,19 @@
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import xml.etree.ElementTree as ElementTree
 
+import numpy as np
 import pandas as pd
 import pytest
 from conftest import ROOT
 
 import tras
+from tras.identification import command
+from tras.workflow.parameters import ParameterError
 
 PAGE = (ROOT / "docs" / "own_rig.md").read_text()
 NAME = "{http://www.w3.org/1999/xhtml}"
@@ -122,3 +126,62 @@ def test_a_wrong_recording_is_a_sentence_and_leaves_nothing(content, arguments, 
 def test_without_a_recording(checkout):
     done = make(checkout)
     assert done.returncode == 2 and "say which recording" in done.stderr
+
+
+def unnamed_log(path):
+    """A first-order system under steps, its columns called foo and bar."""
+    u = np.repeat(np.random.default_rng(0).uniform(-1, 1, 30), 20)
+    y = np.zeros(600)
+    for k in range(599):
+        y[k + 1] = 0.95 * y[k] + 0.05 * u[k]
+    pd.DataFrame({"stamp": np.arange(600) * 20, "foo": y, "bar": u}).to_csv(path, index=False)
+
+
+@pytest.mark.slow
+def test_the_command_of_the_question_can_be_pasted(checkout, tmp_path):
+    for i in (1, 2, 3):
+        unnamed_log(tmp_path / f"it's {i}.csv")
+    out, options = tmp_path / "out", ["DRAWS=0", "DELAYS=0", "SMOOTHING=no", "PREDICTOR=one_step", "TEST=2", "FROM=1"]
+    done = make(checkout, f"RECORDING={tmp_path}/it*.csv", f"OUT={out}", *options)
+    assert done.returncode == 2 and "no column is plainly an input" in done.stderr and not out.exists()
+    line = next(line for line in done.stderr.split("\n") if "make identify" in line)
+    pasted = shlex.split(line)
+    assert set(pasted) >= {"TIME=stamp", "STATES=foo", "INPUTS=bar", f"OUT={out}", "FROM=1.0", *options[:-1]}
+    done = make(checkout, *pasted[2:])
+    assert done.returncode == 0, done.stderr
+    text = (out / "report.html").read_text(encoding="utf-8")
+    assert "stamp is in ms" in text and "3 trajectories of 550 samples at 0.02 s" in text
+
+
+def test_files_of_the_command_line(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.csv", "b 1.csv", "b 2.csv"):
+        (tmp_path / name).touch()
+    names = lambda text, what="RECORDING": [str(path) for path in command._files(what, text)]  # noqa: E731
+    assert names("b 1.csv") == ["b 1.csv"] and names("a.csv 'b 1.csv'") == ["a.csv", "b 1.csv"]
+    assert names("b*.csv") == ["b 1.csv", "b 2.csv"] and names("it's") == ["it's"] and names("") == []
+    assert command._files("TEST", "2,5") == ["2", "5"] and names("2 a.csv", "TEST") == ["2", "a.csv"]
+    with pytest.raises(ParameterError, match="RECORDING: no file matches c"):
+        names("c*.csv")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["a.csv b.csv"], "RECORDING: b.csv does not exist"),
+        (["a.csv", "--test", "b.csv"], "TEST: b.csv does not exist"),
+        (["a.csv a.xyz"], "RECORDING: a.xyz ends in '.xyz'; recordings are .nc"),
+        (["a.csv", "--roles", "r.yaml"], "ROLES: r.yaml does not exist"),
+        (["'*.xls'"], "does not exist|no file"),
+    ],
+)
+def test_wrong_files_are_a_sentence_before_anything_runs(arguments, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.csv").touch()
+    (tmp_path / "a.xyz").touch()
+    assert command.main(arguments) == 2
+    assert re.search(words, capsys.readouterr().err)
+
+
+def test_names_with_commas_and_none():
+    assert command._names('a, "b,c" ,d e') == ["a", "b,c", "d e"] and command._names("") == []

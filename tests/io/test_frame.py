@@ -79,6 +79,15 @@ def test_what_is_wrong_with_a_table_in_memory_is_one_sentence(frame, words):
         R.from_frame(frame)
 
 
+def test_names_that_a_recording_cannot_have_are_changed_and_said():
+    frame = FRAME.assign(**{"/imu/q": FRAME["q"] + 1, "imu.q": FRAME["q"] + 2, "sample": FRAME["q"] + 3, "/": 1.0})
+    roles = {"states": ["/imu/q", "imu.q", "sample"], "inputs": ["u", "/"]}
+    recording = R.from_frame(frame, roles)
+    assert recording.state_names == ("imu.q_", "imu.q", "sample_") and recording.input_names == ("u", "channel")
+    assert recording.states[0, 0].tolist() == [1, 2, 3]
+    assert "Noticed: '/imu/q' is called imu.q_." in tras.remarks(recording)
+
+
 @pytest.mark.parametrize("table", [FRAME, FRAME["q"]])
 def test_read_of_an_open_table_says_what_reads_it(table):
     with pytest.raises(tras.RecordingError, match=r"path is an open (DataFrame|Series).*Recording.from_frame"):

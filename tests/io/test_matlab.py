@@ -1,6 +1,7 @@
 """MATLAB's files: versions, layouts, objects, what is left out, the test set that a file brings, damage."""
 
 import struct
+import tracemalloc
 import zlib
 
 import h5py
@@ -12,7 +13,7 @@ from scipy.io import loadmat, savemat
 from scipy.sparse import csc_matrix
 
 import tras
-from tras.io import matfile5, matlab
+from tras.io import columns, matfile5, matlab
 from tras.io.roles import Roles
 
 R = tras.Recording
@@ -240,7 +241,7 @@ def newer(kind, **attributes):
 @pytest.mark.parametrize("odd, words", [
     (HANDLE, "z .a function handle."), (COMPLEX, "z .complex numbers.; to have them, save real and imaginary part"),
     (SPARSE, "z .a sparse matrix.; to have them, save full"), (opaque("timeseries", "z"), "z .an object .timeseries.."),
-    (instance("zpk", "z", {"gain": text("x")}), ""), (newer("function_handle"), "z .a function handle."),
+    (instance("zpk", "z", {"gain": matrix(X)}), "z .an object .zpk.."), (newer("function_handle"), "z .a function handle."),
     (newer("timetable", MATLAB_object_decode=3), "z .an object .timetable.."), (newer(""), "z .complex numbers."),
     (newer("double", MATLAB_sparse=np.uint64(3)), "z .a sparse matrix."), (newer("string"), "z .of class string."),
 ])  # fmt: skip
@@ -278,6 +279,13 @@ def test_of_an_object_two_lines_of_matlab_save_the_numbers(kind, lines, tmp_path
     with pytest.raises(tras.RecordingError) as refusal:  # a name that would be code is not written into them
         R.read(version5(tmp_path / "a.mat", opaque(kind, "ts');delete('*")))
     assert lines.replace("ts.", "x.").replace("(ts", "(x").replace("ts{", "x{") in str(refusal.value)
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".parquet", ".nc", ".csv"])
+def test_pointers_of_git_lfs(suffix, tmp_path):
+    pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 3\n"
+    with pytest.raises(tras.RecordingError, match="a pointer of Git LFS .* `git lfs pull`"):
+        R.read(write(tmp_path / f"a{suffix}", pointer))
 
 
 # --- version 4 --------------------
@@ -348,6 +356,8 @@ def test_iddata(tmp_path):
     assert np.array_equal(recording.states[0], X) and np.array_equal(recording.inputs[0], U)
     assert recording.attributes["intersample"] == {"Position": "foh"}
     assert "an iddata object says what they are: outputs Angular Velocity, Voltage" in sentences(recording)
+    beside = version5(tmp_path / "b.mat", experiment_data("data", (X, U)), matrix(X, "x"))
+    assert "left out: x, beside an iddata object" in sentences(R.read(beside))
     chosen = R.read(tmp_path / "a.mat", {"inputs": ["Voltage"]})  # what the user says goes before what the file says
     assert chosen.state_names == ("Angular Velocity",) and chosen.attributes["intersample"] == {}
 
@@ -444,6 +454,17 @@ def test_a_scope_with_decimation_gives_the_common_grid(tmp_path):
     savemat(tmp_path / "a.mat", {"x": {"Time": TIME, "Data": X}, "u": {"Time": TIME[::2] + 1e-12, "Data": U[::2]}})
     recording = R.read(tmp_path / "a.mat")
     assert recording.dt == 0.5 and np.array_equal(recording.states[0], X[::2])
+
+
+def test_many_signals_with_times_of_their_own_are_no_burden(tmp_path):
+    """Compared each with each, thousands of scopes of ten samples would take minutes."""
+    times = np.add.outer(np.arange(5_000) / 7, TIME)
+    scopes = [{"time": time, "signals": [{"values": X, "label": ""}]} for time in times]
+    whole = columns.tables([{f"s{i}": each for i, each in enumerate(scopes)}], remarks := [])[0]
+    assert len(whole.times) == 5_000 and len(whole.names) == 10_001 and remarks == []
+    again = [{"time": TIME, "signals": [{"values": X, "label": "q"}]}] * 5_000
+    whole = columns.tables([{f"s{i}": each for i, each in enumerate(again)}], remarks)[0]
+    assert whole.names == ["time", "q1", "q2"] and len(remarks) == 4_999
 
 
 def test_scopes_without_a_common_time(tmp_path):
@@ -544,6 +565,12 @@ def test_what_looks_like_a_test_set_and_is_none(tmp_path):
         assert len(recording) == 1 and "test_trajectories" not in recording.attributes
 
 
+def test_single_numbers_are_said_where_the_sampling_time_is_asked_for(tmp_path):
+    savemat(tmp_path / "a.mat", {"x": X, "u": U, "h": 0.005, "note": "rig"})
+    with pytest.raises(tras.RecordingError, match="(?s)no sampling time.*Noticed: single numbers in it: h = 0.005"):
+        R.read(tmp_path / "a.mat")
+
+
 # --- sizes and damage --------------------
 
 
@@ -585,8 +612,8 @@ def test_claims_of_size_are_refused_before_room_is_made(tmp_path):
 # --- objects of the new kind --------------------
 
 
-def store(*objects, values, version=4):
-    """The part of a file for objects: (class, name -> place in ``values``) of each, numbered from 1."""
+def index_of(objects, version=4):
+    """The numbers that say which value is which property: (class, name -> place) of each object, numbered from 1."""
     names = list(dict.fromkeys(word for kind, properties in objects for word in (kind, *properties)))
     number = {name: i + 1 for i, name in enumerate(names)}
     kinds = list(dict.fromkeys(kind for kind, _ in objects))
@@ -600,7 +627,12 @@ def store(*objects, values, version=4):
     text_of_names = "\0".join([*names, ""]).encode()
     text_of_names += bytes(-len(text_of_names) % 8)
     ends = np.cumsum([40 + len(text_of_names), *map(len, regions), 0, 0]).tolist()
-    words = np.array([version, len(names), *ends], dtype="<u4").tobytes() + text_of_names + b"".join(regions)
+    return np.array([version, len(names), *ends], dtype="<u4").tobytes() + text_of_names + b"".join(regions)
+
+
+def store(*objects, values, version=4):
+    """The part of a file for objects, with their ``values``."""
+    words = index_of(objects, version)
     words = sized(9, "", (len(words), 1), element(2, words))
     wrapper = cells(words, matrix(np.zeros((0, 0))), *values, *[cells()] * 3)
     wrapper = variable(17, element(1, b"MCOS"), element(1, b"MCOS"), element(1, b"FileWrapper__"), wrapper)
@@ -663,6 +695,19 @@ def test_timetables(kind, property_name, time, times, version, tmp_path):
     assert np.array_equal(recording.states[0], X) and np.array_equal(recording.inputs[0], U) and recording.dt == 0.25
 
 
+def test_timetables_of_version_7_3(tmp_path):
+    index = np.frombuffer(index_of([("timetable", {"any": 0}), ("duration", {"millis": 1})]), dtype="u1")
+    times = np.array([[0xDD000000, 2, 1, 1, 2, 2]]).T
+    table = {"data": cell(X, U), "varNames": cell("x", "u"), "numRows": np.array([[K]]), "rowTimes": times}
+    values = cell(index[:, None], np.zeros((1, 1)), table, 1000 * TIME[:, None], *[np.zeros((1, 1))] * 3)
+    hdf(tmp_path / "a.mat", {"log": np.array([[0xDD000000, 2, 1, 1, 1, 1]]).T, "objects": values})
+    with h5py.File(tmp_path / "a.mat", "r+") as file:
+        file.move("objects", "#subsystem#/MCOS")
+        file["log"].attrs.update({"MATLAB_class": np.bytes_("timetable"), "MATLAB_object_decode": 3})
+    recording = R.read(tmp_path / "a.mat")
+    assert np.array_equal(recording.states[0], X) and np.array_equal(recording.inputs[0], U) and recording.dt == 0.25
+
+
 def test_dates_keep_what_a_float_cannot_hold(tmp_path):
     """An instant is the sum of the real part and the imaginary part, in ms."""
     whole = store(("timetable", {"any": 0}), ("datetime", {"data": 1}), values=[table_of(reference(2, 2)), DATE])
@@ -697,6 +742,7 @@ HOLDS_ITSELF = [table_of(reference(1, 1)), DURATION]
         [table_of(reference(2, 1)), DURATION],
         [table_of(STEPS, rows=1e12), matrix([[1.0]])],
         [table_of(STEPS, rows=np.inf), matrix([[1.0]])],
+        [table_of(STEPS, rows=1e8, data=cells(), varNames=cells()), matrix([[1.0]])],
         [table_of(reference(2, 2), data=cells(matrix(X[:3]), matrix(U[:3]))), DURATION],
         [table_of(reference(2, 2), data=cells(matrix(X))), DURATION],
         [table_of(reference(2, 2), varNames=cells(matrix(X), matrix(U))), DURATION],
@@ -711,6 +757,18 @@ def test_objects_that_do_not_fit_are_left_out_with_advice(values, tmp_path):
     path = version5(tmp_path / "a.mat", reference(1, 1, ("timetable", "log")), whole)
     with pytest.raises(tras.RecordingError, match=r"(?s)left out: log .an object .timetable.*timetable2table\(log\)"):
         R.read(path)
+
+
+@pytest.mark.parametrize("place, number", [(0, 7), (1, 2**32 - 1), (1, 0), (2, 2), (4, 0), (4, 2**32 - 1), (5, 9)])
+def test_references_that_lie_cost_nothing(place, number, tmp_path):
+    label = bytearray(reference(1, 1, ("timetable", "log")))
+    label[-24 + 4 * place : len(label) - 24 + 4 * place + 4] = number.to_bytes(4, "little")
+    whole = store(("timetable", {"any": 0}), ("duration", {"millis": 1}), values=[table_of(reference(2, 2)), DURATION])
+    tracemalloc.start()
+    with pytest.raises(tras.RecordingError, match="left out: log .an object .timetable."):
+        R.read(version5(tmp_path / "a.mat", bytes(label), whole))
+    assert tracemalloc.get_traced_memory()[1] < 10**7
+    tracemalloc.stop()
 
 
 def test_many_variables_that_are_one_object_cost_one(tmp_path):

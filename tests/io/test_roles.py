@@ -116,6 +116,15 @@ def test_dates_and_clocks(tmp_path):
     assert R.read(log(tmp_path / "a.csv", stamp=stamps, u=U, y=Y)).dt == 0.02
     clocks = [f"11:59:{58 + 0.02 * k:05.2f}" if k < 100 else f"12:00:{0.02 * (k - 100):05.2f}" for k in K]
     assert R.read(log(tmp_path / "b.csv", Time=clocks, u=U, y=Y)).dt == 0.02
+    german = [
+        f"28.02.2026 23:59:{58 + 0.02 * k:05.2f}" if k < 100 else f"01.03.2026 00:00:{0.02 * k - 2:05.2f}" for k in K
+    ]
+    assert R.read(log(tmp_path / "d.csv", Zeit=german, u=U, y=Y)).dt == 0.02
+    assert R.read(log(tmp_path / "e.csv", time=[f"01:{0.02 * k:06.3f}" for k in K], u=U, y=Y)).dt == 0.02
+    with pytest.raises(
+        tras.RecordingError, match="line 2, column 'time': '2/28/2026 1:00 PM' is no number; an instant is"
+    ):
+        R.read(log(tmp_path / "f.csv", time=["2/28/2026 1:00 PM"] * N, u=U, y=Y))
     days = pd.Timestamp("2026-02-01") + pd.to_timedelta(K, unit="D")
     assert R.read(log(tmp_path / "c.csv", time=days, u=U, y=Y)).dt == 86400  # no guess of milliseconds
 

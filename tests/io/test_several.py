@@ -104,7 +104,7 @@ def test_numbers_of_the_test_follow_their_trajectories(runs):
     recording = R.read(runs, test=2)
     assert recording[[2, 1]].attributes["test_trajectories"] == [1]
     assert "test_trajectories" not in recording[[0, 2]].attributes
-    assert "test_trajectories" not in recording.cut(50).attributes
+    assert recording.cut(50).attributes["test_trajectories"] == [6, 7, 8, 9, 10, 11]  # six pieces of each
     assert recording.select(states=["q"]).attributes["test_trajectories"] == [1]
     joined = tras.recording.join([recording, recording])
     assert joined.attributes["test_trajectories"] == [1, 4] and recording.attributes["test_trajectories"] == [1]
@@ -147,3 +147,55 @@ def test_odd_first_samples_and_rests_are_named(runs):
     assert "the first sample of q, 9 at line 2, lies far from the next, 0" in sentences(R.read(runs[0]))
     log(runs[0], t=T, q=q, u=np.r_[np.zeros(60), U[60:]])
     assert "nothing moves in the first 1.2 s (60 samples" in sentences(R.read(runs[0]))
+
+
+@pytest.fixture
+def drives(tmp_path):
+    """Three experiments of one drive side by side, without time."""
+    rng, columns = np.random.default_rng(0), {}
+    for i in (1, 2, 3):
+        u = rng.normal(size=N)
+        columns |= {f"z{i}": np.convolve(u, 0.9 ** np.arange(N))[:N], f"u{i}": u}
+    return log(tmp_path / "drive.csv", **columns)
+
+
+def test_experiments_side_by_side_are_asked_about_and_read_as_trials(drives):
+    with pytest.raises(tras.RecordingError) as error:
+        R.read(drives)
+    assert "z1 with u1, z2 with u2, z3 with u3 may be experiments side by side" in str(error.value)
+    assert "STATES='z1;z2;z3' INPUTS='u1;u2;u3' DT=1\n" in str(error.value)
+    recording = R.read(drives, {"states": ["z1;z2;z3"], "inputs": ["u1;u2;u3"]}, dt=0.02, test=3)
+    table = pd.read_csv(drives)
+    assert (recording.state_names, recording.input_names, recording.dt, len(recording)) == (("z",), ("u",), 0.02, 3)
+    assert all(np.array_equal(x[:, 0], table[f"z{i}"]) for i, (x, _) in enumerate(recording, 1))
+    assert all(np.array_equal(u[:, 0], table[f"u{i}"]) for i, (_, u) in enumerate(recording, 1))
+    assert recording.attributes["test_trajectories"] == [2] and "3 experiments stand side by side" in sentences(
+        recording
+    )
+    assert R.read(drives, {"states": ["1;3"], "inputs": ["2;4"]}, dt=1.0).state_names == ("z",)
+    for states, words in ((["z1;z2"], "as many columns in each channel"), (["z1;z2;w"], "there is no column 'w'")):
+        with pytest.raises(tras.RecordingError, match=words):
+            R.read(drives, {"states": states, "inputs": ["u1;u2;u3"]}, dt=1.0)
+
+
+def test_channels_that_act_on_each_other_are_one_system(tmp_path):
+    u = np.random.default_rng(0).normal(size=(2, N))
+    z = [np.convolve(part, 0.9 ** np.arange(N))[:N] for part in u]
+    path = log(tmp_path / "a.csv", q1=z[0], q2=z[1] + np.roll(z[0], 3), u1=u[0], u2=u[1])
+    with pytest.raises(tras.RecordingError, match="STATES=q1,q2 INPUTS=u1,u2"):
+        R.read(path)
+    assert R.read(path, dt=0.1).n == 2
+
+
+def test_a_shared_time_of_experiments_side_by_side(drives):
+    table = pd.read_csv(drives).assign(t=T)
+    roles = {"time": "t", "states": ["z1;z2;z3"], "inputs": ["u1;u2;u3"]}
+    assert R.read(log(drives, **table), roles).dt == 0.02
+
+
+def test_repetitions_side_by_side(tmp_path):
+    u = np.sign(np.random.default_rng(0).normal(size=N))
+    rough = np.random.default_rng(1).normal(size=(2, N)) / 50
+    z = np.convolve(np.abs(u), 0.9 ** np.arange(N))[:N]
+    with pytest.raises(tras.RecordingError, match="STATES='z1;z2' INPUTS='u1;u2'"):
+        R.read(log(tmp_path / "a.csv", z1=z + rough[0], z2=2 * z + rough[1], u1=u, u2=2 * u))

@@ -72,6 +72,9 @@ TABLES = {
     "LabVIEW": LABVIEW + "X_Value\tu\ty\n" + BODY.replace(",", "\t"),
     "names and units in rows of their own": "time,u,y\ns,V,rad\n" + BODY,
     "a title above names and units": "rig,rig,rig\ntime,u,y\n[s],[V],[rad]\n" + BODY,
+    "a title above the names": "rig,rig,rig\ntime,u,y\n" + BODY,
+    "names in groups": ",left,\nt,torque,speed\ns,N m,rad/s\n" + BODY,
+    "an index of the rows": ",time,u,y\n" + "".join(f"{k},{row}\n" for k, row in enumerate(BODY.split())),
     "a matrix as MATLAB prints it": MATLAB,
     "a comment with the names": "% time u y\n" + lines([T, U, Y], "{:.9f}", " "),
     "comments between the rows": PLAIN.replace("\n0.1,", "\n# pump on\n0.1,"),
@@ -93,7 +96,7 @@ def test_tables(kind, tmp_path):
 
 def test_what_was_guessed_of_a_layout_is_said(tmp_path):
     said = sentences(R.read(write(tmp_path / "a.csv", "Rig 3\n" + TABLES["decimal comma"])))
-    assert "a table with ';' between cells, a decimal comma, 1 lines above the names or rows" in said
+    assert "a table with ';' between cells, a decimal comma, 1 line above the names or rows" in said
     said = sentences(R.read(write(tmp_path / "b.csv", TABLES["columns of notes beside"])))
     assert "left out: 4, 5, nearly empty" in said
     said = sentences(R.read(write(tmp_path / "c.csv", TABLES["a logger's last words"])))
@@ -223,3 +226,10 @@ def test_pandas_and_we_read_the_same_numbers(tmp_path):
     )
     frame.to_csv(tmp_path / "a.csv", index=False)
     assert np.array_equal(R.read(tmp_path / "a.csv").states[0][:, 0], frame["q"])
+
+
+def test_groups_of_names(tmp_path):
+    rows = lines([T, U, Y, U, Y])
+    path = write(tmp_path / "a.csv", "rig,left,,right,\nt,torque,speed,torque,speed\n" + rows)
+    recording = R.read(path)
+    assert recording.state_names == ("left speed", "right speed") and recording.dt == 0.02

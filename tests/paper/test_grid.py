@@ -234,10 +234,11 @@ def test_changed_options_and_changed_code_are_computed(computed, tmp_path, monke
 
 def test_the_code_that_counts_is_what_the_module_needs():
     assert cache.code_digest("tras.twin_rotor.closed_loop") != cache.code_digest("tras.paper.grid")
-    needed = cache._package().closure({"tras.paper.grid"})
+    needed = cache._package().closure({"tras.paper.grid"}, without=cache.SHOWS)
     modules = ("generator", "dictionaries.radial", "twin_rotor.plant", "metrics", "paper.validation")
     assert {f"tras.{name}" for name in modules} <= needed
     assert "tras.plotting" not in needed and "tras.paper.effects" not in needed
+    assert {"tras.plotting", "tras.display.plots"} <= cache._package().closure({"tras.paper.grid"})
 
 
 @pytest.mark.parametrize("error, outcome", [

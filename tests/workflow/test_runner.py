@@ -170,7 +170,8 @@ def test_fail_repair_succeed(tmp_path, capsys):
 
     write_notebook(path, "n = 1.0", f"import os; open({str(output)!r}, 'w').write(str(n)); os.getcwd()")
     assert run(path, "--outputs", output, "--set", "n=3")[0] == 0
-    assert capsys.readouterr().out.startswith("01_stage  ")
+    first, last = capsys.readouterr().out.splitlines()
+    assert first == "01_stage begins" and last.startswith("01_stage  ")
     assert output.read_text() == "3.0"  # an integer for a float is a float
     assert sorted(file.name for file in build.iterdir()) == ["01_stage.ipynb", "01_stage.json"]
     cell = nbformat.read(executed, 4).cells[-1]

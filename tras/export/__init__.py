@@ -2,6 +2,14 @@
 
 Read `common` first, then one of `c`, `matlab` and `equations` (which stands on `expansion` and `symbols`). Public are
 the four names below.
+
+Examples
+--------
+>>> import tras
+>>> from tras.identification.examples import example
+>>> model = tras.KoopmanModel(tras.Monomials(2), strength=0.01).fit(example("duffing", noise=0)[[0]])
+>>> print(tras.export.formulas(model).splitlines()[0])
+# Rates (per s) by tras ...; dictionary Monomials(), N = 10; physical units.
 """
 
 from tras.export.c import to_c as to_c

@@ -94,6 +94,17 @@ def prediction_band(ensemble: Sequence[KoopmanModel], recording: Recording, leve
     ------
     ValueError
         If the ensemble is empty, or the level is not a fraction between 0 and 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tras import KoopmanModel, Monomials
+    >>> from tras.identification.examples import example
+    >>> pieces = example("duffing")[[0, 1]].cut(51)
+    >>> model = KoopmanModel(Monomials(3), strength=0.01).fit(pieces)
+    >>> lower, median, upper = prediction_band(bootstrap(model, pieces, draws=5), pieces[[0]])
+    >>> lower.shape, bool(np.all(lower[:, 0] == upper[:, 0]))  # all start where the recording does
+    ((1, 51, 2), True)
     """
     if not ensemble:
         raise ValueError("ensemble is empty; make one with tras.bootstrap(model, recording).")

@@ -13,6 +13,7 @@ import argparse
 import csv
 import glob
 import os
+import re
 import shlex
 import shutil
 import sys
@@ -139,7 +140,7 @@ def _files(what, text):
     if not text or Path(text).expanduser().exists():
         return [Path(text).expanduser()] if text else []
     try:
-        words = shlex.split(text)
+        words = shlex.split(text.replace(",", " ") if re.fullmatch(r"[\d, ]+", text) else text)
     except ValueError:  # a quotation mark in the one path that is not there
         words = [text]
     files = []

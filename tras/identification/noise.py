@@ -59,6 +59,14 @@ def noise_level(recording: Recording) -> np.ndarray:
     ------
     ValueError
         If no trajectory has four samples.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tras import Recording
+    >>> swing = np.sin(0.01 * np.arange(4000)) + np.random.default_rng(0).normal(0, 0.05, 4000)
+    >>> noise_level(Recording(swing[None, :, None], dt=0.01)).round(3)
+    array([0.05])
     """
     recording = join(recording)
     if recording.lengths.max() < 4:

@@ -61,7 +61,7 @@ def partition(recording: Recording) -> tuple[Recording, Recording, str]:
         If there is too little for that.
     """
     trials = len(recording)
-    if held_back := recording.attributes.get("test_trajectories"):
+    if held_back := recording.held_back():
         of_test = np.isin(np.arange(trials), held_back)
         if of_test.all():
             raise ValueError("every trajectory is to be kept for the test; leave some to learn from.")

@@ -60,6 +60,16 @@ def refine(
     ------
     ValueError
         If the model has no vector field, a name is unknown, a count is wrong, or predictions diverge within a segment.
+
+    Examples
+    --------
+    >>> from tras import Monomials
+    >>> from tras.identification.examples import example
+    >>> log = example("duffing", noise=0.02)[[0]]
+    >>> model = KoopmanModel(Monomials(2), strength=0).fit(log)
+    >>> misfit = refine(model, log, iterations=1, segment=51).refinement_
+    >>> bool(misfit[-1] < misfit[0])
+    True
     """
     if getattr(model, "predictor", None) != "vector_field" or not hasattr(model, "W_"):
         raise ValueError("refine needs a model with a vector field; fit KoopmanModel(..., predictor='vector_field').")

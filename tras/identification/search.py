@@ -35,6 +35,19 @@ def candidates(recording: Recording, predictor: str = "vector_field", delays: in
     Linear; monomials of degree 2 to 4 and Gaussians on 50 and 200 k-means centres, if they have at most 500 functions
     and at least two snapshot pairs per function; and, if the number of states is even and there are no delays,
     `Mechanical`, which takes the states for position, velocity, position, ...
+
+    Examples
+    --------
+    >>> from tras.identification.examples import example
+    >>> for model in candidates(example("duffing")[[0]]):
+    ...     print(model.dictionary)
+    Monomials(degree=1)
+    Monomials()
+    Monomials(degree=3)
+    Monomials(degree=4)
+    GaussianRBF(centres='kmeans', n_centres=50, width='auto')
+    GaussianRBF(centres='kmeans', n_centres=200, width='auto')
+    Mechanical()
     """
     dictionaries = _dictionaries(recording, delays, predictor, (1, 2, 3, 4), (50, 200), min(500, recording.pairs // 2))
     if recording.n % 2 == 0 and not delays and predictor != "lifted_linear":

@@ -7,6 +7,7 @@ from tras.io import words
 _UNEVEN_STEPS = 0.01  # of the steps of a column without a name of time
 _EPOCHS = {"ns": 1e18, "us": 1e15, "ms": 1e12, "s": 1e9}  # 2001; up to five times as much, 2128: stamps since 1970
 _STEPS = ((1e6, "ns"), (1e3, "us"), (2, "ms"))  # whole numbers that rise by at least as much
+_LOOKED_AT = 100_000  # samples
 _LONG = {"ns": "nanoseconds", "us": "microseconds", "ms": "milliseconds", "s": "seconds"}
 
 
@@ -32,8 +33,9 @@ def guess_unit(values: np.ndarray) -> tuple[str, str]:
     >>> guess_unit(1_700_000_000_000_000 + np.arange(5) * 20.0)
     ('us', 'its stamps, since 1970, have 16 digits: microseconds')
     """
+    values = values[:_LOOKED_AT]
     values = values[np.isfinite(values)]
-    steps = np.diff(values[:100_000])
+    steps = np.diff(values)
     steps = steps[steps > 0]
     whole = np.abs(values[:1000] - np.round(values[:1000])) < 1e-6
     if not steps.size or not whole.all():
@@ -54,6 +56,7 @@ def rises(values: np.ndarray) -> bool:
     >>> rises(np.array([0, 1, 1, 2, 0, 1, 2])), rises(np.array([0.0, 3, 1, 4, 1, 5]))
     (True, False)
     """
+    values = values[:_LOOKED_AT]
     steps = np.diff(values[np.isfinite(values)])
     if not steps.any():
         return True  # it stands still: time, but a broken one
@@ -106,18 +109,23 @@ def grid(times: list) -> tuple[float, float, float]:
     >>> step, quantum
     (0.005, 0.01)
     """
-    stretches = [(np.arange(len(t)) - (len(t) - 1) / 2, t - t.mean()) for t in (t - t[0] for t in times) if len(t) > 1]
-    step = float(sum(k @ t for k, t in stretches) / sum(k @ k for k, _ in stretches))
+    stretches = [(np.arange(float(len(t))), t - t[0]) for t in times if len(t) > 1]
+    moments = [(k @ t - t.sum() * (len(k) - 1) / 2, len(k) * (len(k) ** 2 - 1) / 12) for k, t in stretches]
+    step = float(sum(product for product, _ in moments) / sum(power for _, power in moments))
 
     def worst(step):
-        rests = [t - k * step for k, t in stretches]
-        return max((rest.max() - rest.min()) / 2 for rest in rests)
+        rests = [np.subtract(t, line, out=line) for k, t in stretches for line in [k * step]]
+        return max(float(rest.max() - rest.min()) / 2 for rest in rests)
 
-    grain = 4 * np.spacing(max(float(np.abs(t).max()) for t in times))  # far from zero, stamps are rounded
-    limit = 1.2 * worst(step) + grain
-    rounded = (float(f"{step:.{digits}e}") for digits in range(15))
-    step = next((plain for plain in rounded if worst(plain) <= limit), step)
-    return step, float(worst(step)), _quantum([t for t in times if len(t) > 1])
+    grain = 4 * np.spacing(max(max(abs(float(t[0])), abs(float(t[-1]))) for t in times))  # of doubles
+    deviation = worst(step)
+    limit = 1.2 * deviation + grain
+    reach = max((len(k) - 1) / 2 for k, _ in stretches)  # samples from the middle, where another step is off most
+    for plain in (float(f"{step:.{digits}e}") for digits in range(15)):
+        if abs(plain - step) * reach <= limit + deviation and (rest := worst(plain)) <= limit:
+            step, deviation = plain, rest
+            break
+    return step, float(deviation), _quantum([t for t in times if len(t) > 1])
 
 
 def is_rounded(steps: np.ndarray, step: float, deviation: float, quantum: float) -> bool:

@@ -1,6 +1,7 @@
 """From the variables of a MATLAB workspace to tables: which axis is time, whose time it is, what is the test set."""
 
 import collections
+import hashlib
 import re
 from typing import NamedTuple
 
@@ -19,7 +20,6 @@ _PART = re.compile(
     rf"(?:|(?P<stem1>.*?)_|(?P<stem2>[uyxzt]\d?)|(?P<stem3>.*[a-z0-9])(?=[A-Z]))(?P<word1>(?i:{_FIT}|{_TEST}))"
     rf"|(?P<word2>(?i:{_FIT}|{_TEST}))(?:_(?P<stem4>.+)|(?P<stem5>[A-Z].*))"
 )
-_COMPARED = 50  # signals that the next one is compared with
 _AGREE = 0.01  # of the shortest step: how far two stamps of the same instant may be apart
 
 
@@ -134,20 +134,24 @@ def tables(trials: list[dict], remarks: list) -> list[Table]:
 
 def _table(entries, widths, odd):
     """The table of arrays with a name, a time or None, and its owner; and name -> channels of each matrix."""
-    times, owners = [], []
+    times, owners, numbers = [], [], {}
+    own = {id(time): time for _, _, time, _ in entries if time is not None}
+    own = {key: _digest(time) for key, time in own.items()}  # each once, however many arrays have it
     for _, _, time, owner in entries:
-        if time is not None and not any(np.array_equal(time, other) for other in times):
+        if time is not None and numbers.setdefault(own[id(time)], len(times)) == len(times):
             times.append(time)
             owners.append(owner)
+    by_size = {time.size: number for number, time in reversed(list(enumerate(times)))}
     count = None if times else _samples({name: array for name, array, *_ in entries if array.ndim == 2}, widths)
     channels, widths, rows = {}, dict(widths), count or 0
     for name, array, time, _ in entries:
         if times and time is None and array.size in array.shape and roles.guess_role(name) == "time":
-            if not any(np.array_equal(array.ravel(), other) for other in times):
+            if _digest(array.ravel()) not in numbers:
                 odd[name] = "signals beside it have times of their own"
             continue
         if times:
-            number = next((i for i, other in enumerate(times) if _has_time(array, time, other)), None)
+            of_size = (by_size[size] for size in array.shape if size in by_size)
+            number = next(of_size, None) if time is None else numbers[own[id(time)]]
             count = None if number is None else times[number].size
             rows = max(rows, count or 0)
         else:
@@ -167,11 +171,6 @@ def _table(entries, widths, odd):
                 raise RecordingError(f"two signals would be called {key!r}; rename one.")
             channels[key] = (number, column)
     return Table(channels, times, owners, rows), widths
-
-
-def _has_time(array, time, other):
-    """Whether ``other`` is the time of an array that has ``time``, or none but the length for it."""
-    return np.array_equal(time, other) if time is not None else other.size in array.shape
 
 
 def _matrix(array, count):
@@ -247,15 +246,17 @@ class _Label(NamedTuple):
 def _short(entries, odd):
     """The entries with names: a label as it is if one signal has it, else with its scope; the same signal once."""
     plain = {name for name, *_ in entries if not isinstance(name, _Label)}
-    kept = []
-    for name, *signal in entries:
+    whole, cut, kept = {}, {}, []
+    for name, array, time, owner in entries:
         if isinstance(name, _Label):
-            logged = [entry for entry in kept[:_COMPARED] if isinstance(entry[0], _Label)]
-            alike = (entry[0] for entry in logged if entry[0].label == name.label and _same_signal(entry[1:], signal))
-            if other := next(alike, None):
+            full, *ends = _prints(name.label, array, time)
+            other = whole.get(full) or cut.get(full) or next((whole[end] for end in ends if end in whole), None)
+            if other:
                 odd[_long(name)] = f"the same as {_long(other)}"
                 continue
-        kept.append((name, *signal))
+            whole[full] = name
+            cut |= dict.fromkeys(ends, name)
+        kept.append((name, array, time, owner))
     counts = collections.Counter(name.label for name, *_ in kept if isinstance(name, _Label))
     for i, (name, *signal) in enumerate(kept):
         if isinstance(name, _Label):
@@ -264,20 +265,22 @@ def _short(entries, odd):
     return kept
 
 
+def _prints(label, array, time):
+    """Digests of a logged signal: as it is, without its first and without its last sample, which scopes may lack."""
+    if time is None or array.ndim != 2 or len(array) != len(time):
+        return (_digest(array, label),)
+    ends = (slice(None), slice(1, None), slice(None, -1))
+    return tuple(_digest(np.column_stack([time[rows], array[rows]]), label) for rows in ends)
+
+
+def _digest(array, label=""):
+    total = hashlib.blake2b(f"{array.shape}{label}".encode("utf-8", "replace"))
+    total.update(np.ascontiguousarray(array))
+    return total.digest()
+
+
 def _long(name):
     return f"{name.prefix}{name.label or f'signals{name.number}'}"
-
-
-def _same_signal(signal, other_signal):
-    """Whether two logs (array, time, owner) agree wherever both have a sample, and most of the time both have."""
-    (array, time, _), (other, other_time, _) = signal, other_signal
-    if array.ndim != 2 or other.ndim != 2 or array.shape[1] != other.shape[1] or time is None or other_time is None:
-        return False
-    if len(array) != len(time) or len(other) != len(other_time):
-        return False
-    common, rows, other_rows = np.intersect1d(time, other_time, return_indices=True)
-    enough = 2 * len(common) > min(len(time), len(other_time))
-    return enough and np.array_equal(array[rows], other[other_rows], equal_nan=True)
 
 
 def _own_time(content, prefix):

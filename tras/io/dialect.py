@@ -7,18 +7,26 @@ a decimal comma for a separator; here the separator is the one that makes most c
 import collections
 import csv
 import datetime
+import itertools
 import re
 from typing import NamedTuple
 
 from tras.io.roles import RecordingError
+from tras.io.words import guess_role
 
-WINDOW = 400  # lines that are looked at
+WINDOW, _TYPICAL = 200, 60  # lines that are looked at; that tell the separator
 MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"}
 SEPARATORS = (";", "\t", "|", ",", None)  # None: blanks
 WORDS = {";": "';'", "\t": "tabs", "|": "'|'", ",": "','", None: "blanks"}
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*|,\d+)?|[.,]\d+)([eEdD][+-]?\d{1,3})?|[+-]?inf(inity)?", re.IGNORECASE)
 _IN_BRACKETS = re.compile(r"(.*?\S)\s*[\[(]([^\[\]()]*)[\])]\s*")
+_UNITS = set(
+    "s sec second seconds ms us µs ns min h hz khz rpm v volt volts mv a ma ampere rad deg ° degrees rad/s deg/s °/s "
+    "1/s m mm cm um m/s mm/s m/s^2 m/s² g n nm n*m n·m mnm w k c °c bar pa kpa kg l/min % - counts".split()
+) | {"n m"}
 _PADDED = re.compile(r"_*([^,]*?)_*,_*(.*?)_*")  # X-Plane: `Vtrue,_ktas`
+_GERMAN = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})([ T].*)?")  # a date with points begins with its day
+_MINUTES = re.compile(r"\d{1,3}:\d\d[.,]\d+")
 _CLOCK = re.compile(r"(\d{1,3}):(\d\d):(\d\d([.,]\d+)?)")
 
 
@@ -35,6 +43,7 @@ class Layout(NamedTuple):
     preamble: list  # rows of cells above the names
     sentence: str
     brackets: bool  # whether rows stand in [ ; ], as MATLAB prints a matrix
+    has_blanks: bool  # beside separators
 
 
 def find(lines: list[str]) -> Layout:
@@ -65,7 +74,8 @@ def find(lines: list[str]) -> Layout:
     start = rows[first - 1][0] + 1 if first else offset
     decimal = _decimal(numbers)
     sentence = _sentence(separator, decimal, preamble, named)
-    return Layout(separator, decimal, start, width, names, named, units, preamble, sentence, brackets)
+    beside = separator is not None and any(f"{separator} " in line or f" {separator}" in line for line in lines[start:])
+    return Layout(separator, decimal, start, width, names, named, units, preamble, sentence, brackets, beside)
 
 
 def cells(lines, separator, brackets=False) -> list:
@@ -90,7 +100,7 @@ def is_number(cell: str) -> bool:
 
 
 def is_date(cell: str) -> bool:
-    """Whether a stripped cell is an instant: 2026-02-28 12:00:00.010, or a clock's 12:00:00.010."""
+    """Whether a stripped cell is an instant: 2026-02-28 12:00:00.010, 28.02.2026 12:00:00, a clock's 12:00:00.010."""
     try:
         return bool(instant(cell))
     except ValueError:
@@ -99,6 +109,10 @@ def is_date(cell: str) -> bool:
 
 def instant(cell: str) -> datetime.datetime:
     """The instant in a stripped cell, for a clock on the first day of the year 1; a ValueError if it is none."""
+    if german := _GERMAN.fullmatch(cell):
+        cell = f"{german[3]}-{german[2]:0>2}-{german[1]:0>2}{(german[4] or '').replace(',', '.')}"
+    if _MINUTES.fullmatch(cell):
+        cell = f"0:{cell}"
     if clock := _CLOCK.fullmatch(cell):
         seconds = float((clock[3] or "0").replace(",", "."))
         return datetime.datetime.min + datetime.timedelta(hours=int(clock[1]), minutes=int(clock[2]), seconds=seconds)
@@ -113,7 +127,9 @@ def _separator(lines):
     """The separator that makes the most cells numbers, in rows of equal width."""
     scores = {}
     for separator in SEPARATORS:
-        rows = [row for _, row in cells(lines, separator) if not is_comment(row) and any(map(is_number, row))]
+        rows = [
+            row for _, row in cells(lines[-_TYPICAL:], separator) if not is_comment(row) and any(map(is_number, row))
+        ]
         width = _mode(map(len, rows))
         counts = [(sum(map(is_number, row)), sum(map(bool, row))) for row in rows if len(row) == width]
         scores[separator] = sum(number * number / filled for number, filled in counts) if width > 1 else 0
@@ -201,9 +217,14 @@ def _above(lines, rows, numbers, width, separator, brackets):
     units = {}
     if len(header) > 1 and _is_units(header[-1], header[-2]):
         units = {i: cell.strip("[]() ") for i, cell in enumerate(header.pop()) if cell.strip("[]() -")}
-    elif len(header) > 1:
-        preamble += header[:-1]
-    names, bracketed = names_and_units(header[-1], separator)
+    labels = header.pop()
+    if header:  # a name may stand in the row of groups alone
+        labels = [label or group for label, group in zip(labels, header[-1])]
+    names, bracketed = names_and_units(labels, separator)
+    if header and len(set(names)) < len(names):  # the row above groups them
+        groups = itertools.accumulate(header.pop(), lambda last, group: group or last)
+        names = [f"{group} {name}".strip() for group, name in zip(groups, names)]
+    preamble += header
     return names, bracketed | {names[i]: unit for i, unit in units.items() if i < len(names)}, preamble, True
 
 
@@ -242,9 +263,14 @@ def _counts(row):
 
 
 def _is_units(row, above):
-    """Whether a row below the names holds units: no numbers, no longer than the names."""
-    words = [cell for cell in row if cell]
-    return bool(words) and not any(map(is_number, words)) and any(cell and not is_number(cell) for cell in above)
+    """Whether a row of words below another one holds units and not the names."""
+    words = [cell.strip("[]() ") for cell in row if cell]
+    if not words or any(map(is_number, words)) or not any(cell and not is_number(cell) for cell in above):
+        return False
+    if all(word.lower() in _UNITS or not word for word in words):
+        return True
+    roles, roles_above = (sum(bool(guess_role(cell)) for cell in cells) for cells in (row, above))
+    return roles_above >= roles and len(set(above)) == len(above)
 
 
 def names_and_units(labels: list[str], separator: str | None = None) -> tuple[list, dict]:
@@ -284,6 +310,6 @@ def _sentence(separator, decimal, preamble, named):
     """What was found, or "" for a plain table of commas and names."""
     parts = [f"{WORDS[separator]} between cells" if separator != "," else ""]
     parts += ["a decimal comma" if decimal == "," else ""]
-    parts += [f"{len(preamble)} lines above the names or rows" if preamble else ""]
+    parts += [f"{len(preamble)} line{'s' * (len(preamble) > 1)} above the names or rows" if preamble else ""]
     parts += ["no names: columns are 1, 2, 3" if not named else ""]
     return f"a table with {', '.join(filter(None, parts))}" if any(parts) else ""

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 # Suffix -> its module: open_table(path) returns a `tras.io.limits.Source`, write_recording(recording, header, path).
 FORMATS = {".nc": netcdf, ".csv": text, ".parquet": parquet, ".mat": matlab}
 FORMATS |= dict.fromkeys((".txt", ".dat", ".tsv", ".log", ".lvm"), text)  # in any case: .CSV
+_POINTER = b"version https://git-lfs.github.com/spec/"
 
 
 def write(recording, path, attributes):
@@ -42,6 +43,11 @@ def write(recording, path, attributes):
         module_of(path).write_recording(recording, header, temporary)
 
 
+# Infinite and huge numbers of a file pass through sums and differences on the way to being refused.
+_QUIETLY = {"over": "ignore", "invalid": "ignore", "divide": "ignore"}
+
+
+@np.errstate(**_QUIETLY)
 def read(paths, roles=None, *, dt=None, test=None, wishes=sampling.AS_IT_IS) -> dict:
     """The arguments of the `tras.Recording` that files hold; see `tras.Recording.read`.
 
@@ -66,11 +72,14 @@ def read(paths, roles=None, *, dt=None, test=None, wishes=sampling.AS_IT_IS) -> 
     )
 
 
+@np.errstate(**_QUIETLY)
 def recording_of(source, paths, roles, *, dt=None, trials=None, wishes=sampling.AS_IT_IS, alone=True) -> dict:
     """As `read`, of an open ``source`` of the files ``paths``; ``trials`` are the test, ``alone``: a single file."""
     header = _checked(source.header) if source.header is not None and roles is None and dt is None else None
     source = source._replace(dt=header["dt"]) if header else source
-    columns, guesses = _roles(source, header, mapping(roles) | ({} if dt is None else {"dt": dt}), paths)
+    spec = mapping(roles) | ({} if dt is None else {"dt": dt})
+    source, spec = several.side_by_side(source, spec) if spec else (source, spec)
+    columns, guesses = _roles(source, header, spec, paths)
     x, u, step, noticed, origins = sampling.trajectories(source.read(columns), columns, source.locate, wishes=wishes)
     if header and wishes.resample is None:
         step = header["dt"] * wishes.decimate
@@ -108,6 +117,9 @@ def _opened(path):
         raise FileNotFoundError(f"{path} does not exist; `make all` makes the project's own recordings.")
     if path.stat().st_size > MAX_FILE:
         raise RecordingError(f"it has {path.stat().st_size} bytes; up to {MAX_FILE} are read.")
+    with open(path, "rb") as file:
+        if file.read(len(_POINTER)) == _POINTER:
+            raise RecordingError("it is a pointer of Git LFS in place of the file: get the file by `git lfs pull`.")
     return module_of(path).open_table(path)
 
 

@@ -52,9 +52,18 @@ def _source(variables):
         if says and claims and claims != says:
             raise RecordingError("its iddata objects have other channels or sampling times than each other.")
         says = says or claims
+        beside = [key for key, value in part.items() if claims and not iddata.is_iddata(value)]
+        remarks += [f"left out: {', '.join(beside[:8])}, beside an iddata object"] if beside else []
         test += range(len(trials), len(trials) + len(new)) if is_test else []
         trials += new
     remarks += workspace.left_out(unread)
+    numbers = [
+        f"{key} = {value.item():g}"
+        for key, value in variables.items()
+        if isinstance(value, np.ndarray) and value.size == 1
+    ]
+    if numbers and not steps:
+        remarks.append(f"single numbers in it: {', '.join(numbers[:8])}")
     tables = columns.tables(trials, remarks)
     if not tables or not tables[0].names:
         listing = ", ".join(map(repr, list(variables)[:30])) or "no variables"

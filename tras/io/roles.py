@@ -20,7 +20,22 @@ _KEYS = ("time", "states", "inputs", "trial", "dt", "units")
 
 
 class RecordingError(ValueError):
-    """A file is not a recording, or lacks something that one needs: one sentence with its path and the place in it."""
+    """A file is not a recording, or lacks something that one needs: one sentence with its path and the place in it.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import tras
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder, "log.csv")
+    ...     _ = path.write_text("a note\\nno numbers here\\n")
+    ...     try:
+    ...         tras.Recording.read(path)
+    ...     except tras.RecordingError as error:
+    ...         print(str(error).replace(folder, "")[1:9])
+    log.csv:
+    """
 
 
 class Question(RecordingError):
@@ -107,15 +122,11 @@ class _Assignment:
     def by_number(self):
         """Numbers of columns in the specification as names."""
 
-        def named(label):
-            is_number = isinstance(label, str) and label.isascii() and label.isdigit() and label not in self.names
-            return self.names[int(label) - 1] if is_number and 0 < int(label) <= len(self.names) else label
-
         for key, value in self.spec.items():
             if key in ("time", "trial"):
-                self.spec[key] = named(value)
+                self.spec[key] = named(value, self.names)
             elif key in ("states", "inputs"):
-                self.spec[key] = [named(label) for label in value]
+                self.spec[key] = [named(label, self.names) for label in value]
 
     def result(self):
         steps = self.step_columns()
@@ -126,10 +137,14 @@ class _Assignment:
         states, inputs, open_columns = self.channels(rest)
         dt = self.spec.get("dt", self.dt if time is None else None)
         roles = Roles(time, states, inputs, trial, dt, self.units | unit, self.dt)
+        experiments = [] if time or {"states", "inputs"} & set(self.spec) else self.experiments(states, inputs)
         if time is None and dt is None:
             self.why.append("no column is plainly time, and no sampling time is given")
         if self.why:
-            raise Question(self.why, *self.answer(roles, open_columns))
+            table, answer = self.answer(roles, open_columns)
+            if experiments:
+                answer = answer._replace(states=[";".join(experiments[0])], inputs=[";".join(experiments[1])])
+            raise Question(self.why, table, answer)
         left = [name for name in self.names if name not in (time, trial, *states, *inputs, *steps)]
         return roles, self.guesses + ([f"left out: {', '.join(left)}"] if left and self.guesses else [])
 
@@ -141,8 +156,9 @@ class _Assignment:
         for name in self.names:
             if self.kinds[name] not in ("step", "time") or (column := self.values(name)) is None:
                 continue
-            finite = column[np.isfinite(column)]
-            if finite.size and (finite == finite[0]).all() and len(column) > 1 and (step := step_of(name, finite[0])):
+            if len(column) < 2 or evidence.moves(column) or not np.isfinite(column).any():
+                continue
+            if step := step_of(name, column[np.isfinite(column)][0]):
                 if self.dt is not None and abs(step - self.dt) > 1e-6 * step:
                     raise RecordingError(f"the sampling times in it are {self.dt:g} and {step:g} s; give dt, in s.")
                 self.dt = step
@@ -246,6 +262,20 @@ class _Assignment:
             self.why.append("no column is plainly an input")
         return states, inputs, open_columns + doubtful
 
+    def experiments(self, states, inputs):
+        """(states, inputs) if z1 with u1, z2 with u2 ... seem to be experiments side by side, else []."""
+        numbered = [[re.fullmatch(r"(.*?)(\d+)", name) for name in names] for names in (states, inputs)]
+        if len(states) < 2 or not all(all(matches) and len({m[1] for m in matches}) == 1 for matches in numbered):
+            return []
+        if [m[2] for m in numbered[0]] != [m[2] for m in numbered[1]]:
+            return []
+        columns = [[self.values(name) for name in names] for names in (states, inputs)]
+        if any(column is None for part in columns for column in part) or not evidence.are_apart(*columns):
+            return []
+        pairs = ", ".join(f"{state} with {inp}" for state, inp in zip(states, inputs))
+        self.why.append(f"{pairs} may be experiments side by side, as nothing of one shows in another")
+        return states, inputs
+
     def doubtful(self, states):
         """States by name whose values are held in steps while those of others are not."""
         held = [name for name in states if (column := self.values(name)) is not None and evidence.is_held(column)]
@@ -255,6 +285,9 @@ class _Assignment:
         if self.kinds[name] == "beside" or self.reasons.get(name, "").startswith("left"):
             return False
         column = self.values(name)
+        if column is not None and len(column) > 2 and clock.is_counter(column):
+            self.reasons[name] = "left out: counts the rows"
+            return False
         return column is not None and evidence.moves(column)
 
     def answer(self, roles, open_columns):
@@ -295,6 +328,19 @@ class _Assignment:
         if len(finite) and min(finite) == max(finite):
             span = f"always {finite[0]:.5g}"
         return str(number), name, unit, span, self.reasons.get(name, "left out")
+
+
+def named(label, names: list):
+    """The column that a label calls by its number, from 1; any other label as it is."""
+    is_number = isinstance(label, str) and label.isascii() and label.isdigit() and label not in names
+    return names[int(label) - 1] if is_number and 0 < int(label) <= len(names) else label
+
+
+def unknown_column(name, names: list) -> RecordingError:
+    """The error about a column that is not there."""
+    near = difflib.get_close_matches(name, names, n=1)
+    hint = f" (did you mean {near[0]!r}?)" if near else ""
+    return RecordingError(f"roles: there is no column {name!r}{hint}; {_listing(names)}.")
 
 
 def _beside_y(names):
@@ -357,9 +403,7 @@ def _columns_with_a_role(names, spec):
     columns = [name for name in columns if name is not None]
     for name in [*columns, *spec.get("units", {})]:
         if name not in names:
-            near = difflib.get_close_matches(name, names, n=1)
-            hint = f" (did you mean {near[0]!r}?)" if near else ""
-            raise RecordingError(f"roles: there is no column {name!r}{hint}; {_listing(names)}.")
+            raise unknown_column(name, names)
     for name in columns:
         if columns.count(name) > 1:
             raise RecordingError(f"roles: column {name!r} has two roles; give it one.")

@@ -166,12 +166,12 @@ def _cut(pieces, roles, missing, remarks):
     complete, places, count, short = [], [], 0, 0
     names = [*roles.states, *roles.inputs, roles.time]
     for t, x, u, where in pieces:
+        if all(part is None or np.isfinite(part).all() for part in (t, x, u)):
+            complete.append((t, x, u, where))
+            continue
         table = np.hstack([x, u]) if t is None else np.hstack([x, u, t[:, None]])
         bad = ~np.isfinite(table)
         gaps = np.flatnonzero(bad.any(axis=1))
-        if not gaps.size:
-            complete.append((t, x, u, where))
-            continue
         count += len(gaps)
         places += [f"{names[np.argmax(bad[row])]} at {where(row)}" for row in gaps[:3]]
         for start, end in zip([0, *(gaps + 1)], [*gaps, len(x)]):
@@ -205,8 +205,8 @@ def _check_order(t, where, roles):
 def _sampling_time(pieces, roles, tolerance, remarks):
     """The step of the even grid on which the stamps stand within the tolerance, or the one that was given."""
     times = [t for t, *_ in pieces]
-    steps = np.concatenate([np.diff(t) for t in times])
-    if not steps.size:
+    count = sum(len(t) - 1 for t in times)
+    if not count:
         if roles.dt is None and roles.stated is None:
             raise RecordingError("every trajectory has one sample, so there is no sampling time; give dt, in s.")
         return float(roles.dt or roles.stated)
@@ -222,14 +222,19 @@ def _sampling_time(pieces, roles, tolerance, remarks):
             f"the file states a sampling time of {roles.stated:g} s, but column {roles.time!r} says {step:.6g} s; "
             "give dt."
         )
-    grain = 4 * np.spacing(max(np.abs(t).max() for t in times))  # far from zero, the time stamps are rounded
-    limit = (tolerance if len(steps) >= _FEW else min(tolerance, _STRICT)) * step + grain
-    rounded = len(steps) >= _FEW and clock.is_rounded(steps, step, deviation, quantum)
-    if not rounded:
-        _check_repeats(pieces, roles)
-        if deviation > limit:
+    grain = 4 * np.spacing(max(max(abs(t[0]), abs(t[-1])) for t in times))  # far from zero, stamps are rounded
+    limit = (tolerance if count >= _FEW else min(tolerance, _STRICT)) * step + grain
+    rounded = False
+    if deviation > limit:
+        steps = np.concatenate([np.diff(t) for t in times])
+        rounded = count >= _FEW and clock.is_rounded(steps, step, deviation, quantum)
+        if not rounded:
+            _check_repeats(pieces, roles)
             raise RecordingError(_uneven(pieces, roles, steps, deviation, limit))
+    elif 2 * deviation >= step:
+        _check_repeats(pieces, roles)
     if deviation > _SAID * step + grain:
+        rounded = rounded or clock.is_rounded(np.concatenate([np.diff(t) for t in times]), step, deviation, quantum)
         why = f", because they are rounded to {quantum:g} s" if rounded else ""
         remarks.append(
             f"the stamps of {roles.time} lie up to {deviation:.3g} s ({100 * deviation / step:.3g} %) off an even grid "
@@ -293,9 +298,14 @@ def _resampled(pieces, dt, remarks):
 
 
 def _constant(arrays, names):
-    table = np.concatenate(arrays)
-    constant = (table == table[0]).all(axis=0) & (len(table) > 1)
-    return [f"{name} is constant ({table[0, i]:g})" for i, name in enumerate(names) if constant[i]]
+    first = arrays[0][0]
+    moving = np.zeros(len(names), dtype=bool)
+    for array in arrays:
+        moving |= (array[:100] != first).any(axis=0)  # enough for most
+        for i in np.flatnonzero(~moving):
+            moving[i] = (array[:, i] != first[i]).any()
+    alone = sum(map(len, arrays)) < 2
+    return [f"{name} is constant ({first[i]:g})" for i, name in enumerate(names) if not moving[i] and not alone]
 
 
 def _decimated(pieces, factor, remarks):
@@ -316,20 +326,30 @@ def _odd_ends(pieces, roles, dt):
     """Sentences on a first sample far from the others, and on rests in which nothing moves."""
     remarks, names = [], [*roles.states, *roles.inputs]
     for _, x, u, where in pieces[:20]:
-        table = np.hstack([x, u])
-        if len(table) < 20:
+        if len(x) < 20:
             continue
-        steps = np.abs(np.diff(table[:200], axis=0))
-        far = (steps[0] > 10 * steps[1:].max(axis=0)) & (steps[0] > 0.1 * np.ptp(table, axis=0))
+        table = np.hstack([x[:200], u[:200]])
+        steps = np.abs(np.diff(table, axis=0))
+        far = steps[0] > np.maximum(10 * steps[1:].max(axis=0), np.ptp(table[1:], axis=0))
         remarks += [
             f"the first sample of {names[i]}, {table[0, i]:g} at {where(0)}, lies far from the next, {table[1, i]:g}"
             for i in np.flatnonzero(far)
         ]
-        same = (table == table[0]).all(axis=1), (table == table[-1]).all(axis=1)[::-1]
-        for moment, still in zip(("first", "last"), same):
-            count = int(np.argmin(still)) if not still.all() else 0
-            if count >= max(10, len(table) // 20):
-                remarks.append(
-                    f"nothing moves in the {moment} {count * dt:.3g} s ({count} samples; start= or end= leave it out)"
-                )
+        for moment, ordered in (("first", (x, u)), ("last", (x[::-1], u[::-1]))):
+            count = _at_rest(*ordered)
+            if max(10, len(x) // 20) <= count < len(x):
+                cure = "start= or end= leave it out"
+                remarks.append(f"nothing moves in the {moment} {count * dt:.3g} s ({count} samples; {cure})")
     return remarks[:6]
+
+
+def _at_rest(x, u):
+    """The number of rows at the beginning that are the same."""
+    length = 64
+    while True:
+        moves = (x[:length] != x[0]).any(axis=1) | (u[:length] != u[0]).any(axis=1)
+        if moves.any():
+            return int(np.argmax(moves))
+        if length >= len(x):
+            return len(x)
+        length *= 8

@@ -1,10 +1,12 @@
 """Several files as one recording: trials with the same columns, signals merged by time, files for the test."""
 
+import os
+
 import numpy as np
 
 from tras.io import clock
 from tras.io.limits import Source
-from tras.io.roles import RecordingError, Roles, guess_role
+from tras.io.roles import RecordingError, Roles, guess_role, named, unknown_column
 
 
 def joined(paths: list, sources: list) -> Source:
@@ -35,6 +37,53 @@ def with_test(paths: list, source: Source, test_paths: list, tests: list) -> Sou
         test=[*source.test, *range(own, own + sum(map(_count, tests)))],
         remarks=[*source.remarks, f"the test is {', '.join(path.name for path in test_paths)}"],
     )
+
+
+def side_by_side(source: Source, spec: dict) -> tuple[Source, dict]:
+    """The `Source` and roles in which a channel "z1;z2;z3" is one whose trials are these columns.
+
+    Channels without a semicolon are the same in all trials.
+    """
+    columns = {}
+    for label in (*spec.get("states", ()), *spec.get("inputs", ())):
+        if ";" in label and label not in source.names:
+            columns[label] = [named(part.strip(), source.names) for part in label.split(";") if part.strip()]
+    if not columns:
+        return source, spec
+    counts = {label: len(parts) for label, parts in columns.items()}
+    if len(set(counts.values())) > 1 or min(counts.values()) < 2:
+        listing = ", ".join(f"{label} {count}" for label, count in counts.items())
+        raise RecordingError(f"roles: experiments side by side need as many columns in each channel: {listing}.")
+    for name in (part for parts in columns.values() for part in parts):
+        if name not in source.names:
+            raise unknown_column(name, source.names)
+    count, labels = next(iter(counts.values())), {}
+    for label, parts in columns.items():
+        stem = os.path.commonprefix(parts).rstrip("0123456789_. ") or parts[0]
+        labels[label] = stem if stem not in (*source.names, *labels.values()) else parts[0]
+    parts = {labels[label]: names for label, names in columns.items()}
+
+    def read(roles):
+        tables = []
+        for k in range(count):
+            actual = {name: names[k] for name, names in parts.items()}
+            renamed = [[actual.get(name, name) for name in names] for names in (roles.states, roles.inputs)]
+            asked = roles._replace(states=renamed[0], inputs=renamed[1], time=actual.get(roles.time, roles.time))
+            for table in source.read(asked):
+                tables.append({**table, **{name: table[column] for name, column in actual.items() if column in table}})
+        return tables
+
+    others = [name for name in source.names if not any(name in names for names in parts.values())]
+    units = source.units | {name: source.units.get(names[0], "") for name, names in parts.items()}
+    own = len(read(Roles(None, list(parts)[:1], [], None, None, {}))) // count
+    new = source._replace(
+        names=[*others, *parts], units=units, read=read, header=None, test=(), roles={},
+        locate=lambda table, row: f"{source.locate(table % own, row)}, experiment {table // own + 1}",
+        remarks=[*source.remarks, f"{count} experiments stand side by side"],
+    )  # fmt: skip
+    return new, spec | {
+        key: [labels.get(name, name) for name in spec[key]] for key in ("states", "inputs") if key in spec
+    }
 
 
 def _trials(paths, sources):

@@ -6,6 +6,7 @@ of the file a wrong cell stands; only for such a sentence the rows are counted a
 
 import contextlib
 import csv
+import functools
 import io
 import json
 import re
@@ -16,13 +17,12 @@ import numpy as np
 import pandas as pd
 
 from tras.io import dialect
-from tras.io.limits import FORMAT, MAX_TEXT, Source, check_size, one_line
+from tras.io.limits import FORMAT, MAX_TEXT, MAX_VALUES, Source, check_size, one_line
 from tras.io.roles import RecordingError
 from tras.io.words import guess_role, step_of
 
 _MARK = f"# {FORMAT}: "  # our own files: one line of JSON above the header
-_POINTER = b"version https://git-lfs.github.com/spec/"
-_HEAD = 2**22  # bytes in which the layout is looked for
+_HEAD, _CHUNK = 2**22, 2**16  # bytes in which the layout is looked for, and that are read at once
 _MISSING = sorted({form for word in dialect.MISSING for form in (word, word.upper(), word.title())} | {"NaN", "#N/A"})
 _DECIMAL_COMMA = re.compile(rb"(?<![\d.,])[+-]?0?,\d|\d,\d{1,2}(?![\d,])|,\d{4}|\d{4},\d")  # none of thousands
 _FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")  # 1.5D+02
@@ -33,21 +33,22 @@ def open_table(path: Path) -> Source:
     """The `Source` of a text table. Columns of text do no harm, as long as they have no role."""
     if (size := path.stat().st_size) > MAX_TEXT:
         raise RecordingError(f"it has {size} bytes, text is read up to {MAX_TEXT}; write .parquet instead, or cut it.")
-    content, encoding = _utf8(path.read_bytes())
-    header, start = _own_header(content)
-    lines = content[start : start + _HEAD].decode("utf-8", errors="ignore").split("\n")
-    if len(content) - start > _HEAD:
+    text = _Text(path)
+    header, start = _own_header(text.head)
+    lines = text.head[start:].split(b"\n", dialect.WINDOW)
+    if len(lines) > dialect.WINDOW or text.is_longer:
         lines.pop()
+    lines = [line.decode("utf-8", errors="replace") for line in lines]
     if header is None:
-        layout = dialect.find([line.rstrip("\r") for line in lines[: dialect.WINDOW]])
-    elif not content.endswith(b"\n"):
+        layout = dialect.find([line.rstrip("\r") for line in lines])
+    elif not text.tail.endswith(b"\n"):
         raise RecordingError("its last line is not whole; the file was cut off.")
     else:
         names = next(csv.reader(lines[:1]), [])
-        layout = dialect.Layout(",", ".", 1, len(names), names, True, {}, [], "", False)
-    table = _Table(content, start, layout)
+        layout = dialect.Layout(",", ".", 1, len(names), names, True, {}, [], "", False, False)
+    table = _Table(text, start, layout)
     remarks = [text for text in (layout.sentence, *table.remarks) if text]
-    remarks += [f"its letters are {encoding}"] if encoding != "UTF-8" else []
+    remarks += [f"its letters are {text.encoding}"] if text.encoding != "UTF-8" else []
     units = {name: unit for name, unit in layout.units.items() if name in table.columns} | table.dates()
     steps = [step for row in layout.preamble if len(row) > 1 if (step := step_of(row[0], row[1]))]
     return Source(list(table.columns), units, table.read, table.locate, header, steps[0] if steps else None, remarks)
@@ -60,10 +61,44 @@ def write_recording(recording, header: dict, path: Path) -> None:
         recording.to_frame().to_csv(file, index=False, lineterminator="\n")  # as many digits as it takes
 
 
+class _Text:
+    """A file as UTF-8 with line feeds: its first and last bytes, and all of them where these are needed.
+
+    A file of ASCII is left to pandas, which reads it from the disk: a copy in memory would take a third of its time.
+    """
+
+    def __init__(self, path):
+        self.path, self.encoding, self.size = path, "UTF-8", path.stat().st_size
+        self.head, self.tail, self.is_plain = _scanned(path)
+        if not self.is_plain:
+            self.content, self.encoding = _utf8(path.read_bytes())
+            self.head, self.tail, self.size = self.content[:_HEAD], self.content[-_CHUNK:], len(self.content)
+
+    @functools.cached_property
+    def content(self):
+        return self.path.read_bytes()
+
+    @property
+    def is_longer(self):
+        """Whether there is more than the head."""
+        return self.size > len(self.head)
+
+
+def _scanned(path):
+    """(first bytes, last bytes, whether all are ASCII with line feeds and without zeros) of a file."""
+    head, tail, is_plain = [], b"", True
+    with open(path, "rb", buffering=0) as file:
+        while chunk := file.read(_CHUNK):
+            is_plain = is_plain and chunk.isascii() and b"\0" not in chunk
+            if len(head) * _CHUNK < _HEAD:
+                head.append(chunk)
+            tail = tail[-_CHUNK:] + chunk if len(chunk) < _CHUNK else chunk
+    head = b"".join(head)
+    return head, tail, is_plain and b"\n" in head
+
+
 def _utf8(content):
     """(the bytes in UTF-8, without a byte order mark and with line feeds; the encoding that they had)."""
-    if content.startswith(_POINTER):
-        raise RecordingError("it is a pointer of Git LFS in place of the file: get the file by `git lfs pull`.")
     marks = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
     encoding = next((encoding for mark, encoding in marks.items() if content.startswith(mark)), "utf-8")
     if encoding == "utf-8" and len(content) > 3 and not any(content[1:200:2]):
@@ -103,26 +138,30 @@ def _own_header(content):
 class _Table:
     """The columns of a text table, name -> pandas.Series of numbers or text, and what was left out of it."""
 
-    def __init__(self, content, offset, layout):
+    def __init__(self, text, start, layout):
         self.layout, self.remarks = layout, []
-        start = offset
         for _ in range(layout.start):
-            start = content.find(b"\n", start) + 1 or len(content)
-        self.before = content.count(b"\n", 0, start)
-        self.content = content[start:]
+            start = text.head.find(b"\n", start) + 1 or len(text.head)
+        self.before = text.head.count(b"\n", 0, start)
+        self._text, self._start, self._content = text, start, None  # the rows' bytes, where they are not the file's
+        check_size(text.content.count(b"\n") if text.size > MAX_VALUES else 0, layout.width)
         if layout.brackets:
-            self.content = self.content.translate(bytes.maketrans(b"[];", b"   "))
-        if self.content[:1] in (b"#", b"%") or b"\n#" in self.content or b"\n%" in self.content:
-            self.content = re.sub(rb"(?m)^[#%].*$", b"", self.content)
+            self._content = self.content.translate(bytes.maketrans(b"[];", b"   "))
         self._drop_unfinished_line()
         self.decimal = self._decimal_sign()
-        check_size(self.content.count(b"\n"), layout.width)
         frame = self._frame()
-        frame = frame[frame.notna().any(axis=1)] if frame.iloc[:, -1].isna().any() else frame
+        frame = frame[frame.notna().any(axis=1)] if frame.iloc[:, -1].hasnans else frame
         if frame.empty:
             raise RecordingError("it has a header but no row below it.")
         self.columns = self._columns(frame)
         self._check_width(frame)
+
+    @property
+    def content(self):
+        """The bytes from the first row on."""
+        if self._content is None:
+            self._content = self._text.content[self._start :]
+        return self._content
 
     def read(self, roles):
         """The columns with a role, as numbers; labels of trials as text."""
@@ -149,15 +188,15 @@ class _Table:
 
     def _drop_unfinished_line(self):
         """Leave out a last line that breaks off: a logger lost its power, or a file was cut."""
-        if self.content.endswith(b"\n") or b'"' in self.content[-_HEAD:]:
+        rest = self._text.tail[self._text.tail.rfind(b"\n") + 1 :]
+        if not rest or b'"' in self._text.tail:
             return
-        rest = self.content[self.content.rfind(b"\n") + 1 :]
         cells = dialect.cells([rest.decode("utf-8", errors="replace")], self.layout.separator)
         filled = [name for name in self.layout.names if name]
-        if cells and len(cells[0][1]) < len(filled) and self.content.count(b"\n") > 2:
+        if cells and len(cells[0][1]) < len(filled) and self.content.count(b"\n") > 2 and not self.layout.brackets:
             line = self.before + self.content.count(b"\n") + 1
             self.remarks.append(f"left out: line {line}, the last, which breaks off after {len(cells[0][1])} cells")
-            self.content = self.content[: -len(rest)]
+            self._content = self.content[: -len(rest)]
 
     def _decimal_sign(self):
         """The layout's decimal sign, or what the whole file says if its first lines do not."""
@@ -177,28 +216,52 @@ class _Table:
         )
 
     def _frame(self):
+        """All cells as pandas reads them: numbers where a column holds nothing else."""
+        try:
+            frame = self._parsed()
+            if all(map(_holds_numbers, frame.dtypes)):
+                return frame
+        except RecordingError as error:
+            frame, cause = None, error
+        comments = re.sub(rb"(?m)^[ \t]*[#%].*$", b"", self.content)
+        if comments != self.content:
+            self._content = comments
+            return self._frame()
+        if frame is None:
+            rows = self._rows(
+                self.layout.width
+            )  # says what is wrong; or some rows end with a separator and some do not
+            text = io.StringIO()
+            csv.writer(text, delimiter=self.layout.separator or " ", lineterminator="\n").writerows(rows)
+            if text.getvalue().encode() == self.content:
+                raise cause
+            self._content = text.getvalue().encode()
+            return self._parsed()
+        return frame
+
+    def _parsed(self):
         style = {"sep": self.layout.separator or r"\s+", "decimal": self.decimal, "na_values": _MISSING}
         style |= {"header": None, "names": list(range(self.layout.width)), "keep_default_na": False, "engine": "c"}
-        for attempt in range(2):
-            try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")  # of columns with numbers and text, which are text here
-                    frame = pd.read_csv(io.BytesIO(self.content), skipinitialspace=True, **style)
-            except pd.errors.EmptyDataError as error:
-                raise RecordingError("it has a header but no row below it.") from error
-            except (pd.errors.ParserError, ValueError, OverflowError) as error:
-                cause = one_line(error)
-            else:
-                if isinstance(frame.index, pd.RangeIndex):
-                    return frame
-                cause = "its rows have different numbers of cells"
-            rows = self._rows(self.layout.width)
-            if attempt:
-                break
-            text = io.StringIO()  # some rows end with a separator and some do not
-            csv.writer(text, delimiter=self.layout.separator or " ", lineterminator="\n").writerows(rows)
-            self.content = text.getvalue().encode()
-        raise RecordingError(f"it is no table ({cause}).")
+        style |= {"skipinitialspace": self.layout.has_blanks}
+        try:
+            with warnings.catch_warnings(), self._opened() as file:
+                warnings.simplefilter("ignore")  # of columns with numbers and text, which are text here
+                frame = pd.read_csv(file, **style)
+        except pd.errors.EmptyDataError as error:
+            raise RecordingError("it has a header but no row below it.") from error
+        except (pd.errors.ParserError, ValueError, OverflowError) as error:
+            raise RecordingError(f"it is no table ({one_line(error)}).") from error
+        if not isinstance(frame.index, pd.RangeIndex):
+            raise RecordingError("it is no table (its rows have different numbers of cells).")
+        return frame
+
+    def _opened(self):
+        """A file of the rows."""
+        if self._content is not None or not self._text.is_plain:
+            return io.BytesIO(self.content)
+        file = open(self._text.path, "rb")  # noqa: SIM115
+        file.seek(self._start)
+        return file
 
     def _columns(self, frame):
         """Name -> column, without those that are (nearly) empty or there twice, and without a rest of text below."""
@@ -290,6 +353,8 @@ class _Table:
         if wrong:
             cell, line = cells[wrong[0]], self.locate(0, wrong[0])
             what, cure = "no number", "repair it, leave it empty, or leave the column out by roles"
+            if re.search(r"\d[/:]\d", cell):
+                cure = "an instant is written as 2026-02-28 12:00:00.010"
             if self.decimal == "," and "." in cell:
                 what = "no number where others have a decimal comma"
             elif re.fullmatch(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d*)?", cell):
@@ -318,7 +383,8 @@ class _Table:
 
 
 def _holds_numbers(column):
-    return column.dtype.kind in "iufb"
+    """Whether a column, or one of this type, holds numbers."""
+    return getattr(column, "dtype", column).kind in "iufb"
 
 
 def _first(column):

@@ -51,6 +51,9 @@ def readable(value, path: str, unread: list):
 
     A cell array with such a cell is left out as a whole, so that trials stay side by side.
     """
+    if isinstance(value, Instance) and value.kind != "iddata" and not {"time", "data"} <= set(map(str.lower, value)):
+        unread.append((path, Unread(f"an object ({value.kind[:60]})", value.kind[:60])))
+        return None
     if isinstance(value, dict):
         fields = {}
         for key, inner in value.items():

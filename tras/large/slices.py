@@ -213,6 +213,7 @@ def open_recording(path: str | Path) -> RecordingFile:
     Examples
     --------
     >>> import pathlib, tempfile
+    >>> import numpy as np
     >>> path = pathlib.Path(tempfile.mkdtemp()) / "long.nc"
     >>> Recording(np.zeros((2, 5, 1)), dt=0.1).write(path)
     >>> open_recording(path).pairs

@@ -52,6 +52,7 @@ EXACT = [
 ]  # fmt: skip
 FLOOR = 1e-12  # smaller numbers are rounding in every unit used here: residuals that would be zero in exact arithmetic
 WIDER = 2.0  # a sensitive number may lie outside its interval by so many times the interval's width (docs/verify.md)
+LOST = "diverged"  # this count may also be one further, and then the row is compared by it alone
 
 # Cases of the comparison that one rounding unit of the data moves by more than 1e-7.
 RIVALS = (
@@ -178,10 +179,17 @@ def compare_table(ours: dict, theirs: dict, intervals: dict, rule: Exact, sensit
     if lost.any():
         return float("inf"), f"a row is missing: {', '.join(_keys(intervals, keys)[int(lost.argmax())])}"
     rows = np.array([row for row in rows if row is not None], dtype=int)
+    if len(rows) < len(numbers):
+        return float("inf"), "a row is there twice"
+    counted = _by_count(ours, rows, intervals, there)
     for name in (name for name in theirs if name in sensitive.values and name not in (sensitive.choice or ())[:1]):
         values = ours[name][rows]
         part = {end: intervals[f"{name}{end}"][there] for end in ("", *_ENDS) if f"{name}{end}" in intervals}
-        shares = _interval_shares(values, part, rule) if ".low" in part else _text_shares(values, part[""])
+        if ".low" in part:
+            shares = _interval_shares(values, part, rule, whole=1.0 if name == LOST else 0.0)
+            shares = np.where(counted & (values.dtype.kind == "f"), 0.0, shares)
+        else:
+            shares = _text_shares(values, part[""])
         i, outside = int(shares.argmax()), int((shares > 1).sum())
         if shares[i] > worst[0]:
             ends = [part[end][i].item() for end in (("",) if "" in part else (".low", ".high"))]
@@ -189,6 +197,19 @@ def compare_table(ours: dict, theirs: dict, intervals: dict, rule: Exact, sensit
             detail = f"{name}, row {numbers[rows[i]] + 1}: {copies.text(values[i].item())}, {span} by perturbation"
             worst = float(shares[i]), detail + (f", and {outside - 1} more in this column" if outside > 1 else "")
     return worst
+
+
+def _by_count(ours, rows, intervals, there):
+    """Which rows are compared by their lost windows alone.
+
+    Those that lose so many as no perturbed copy does, whose errors are of other windows, and those that lose half of
+    all or more, whose errors are of the few that happen to survive.
+    """
+    if LOST not in ours:
+        return False
+    low, high = (intervals[f"{LOST}{end}"][there] for end in (".low", ".high"))
+    lost = ours[LOST][rows]
+    return (lost < low) | (lost > high) | (2 * high >= ours["windows"][rows])
 
 
 def _wrong_choice(columns, rule):
@@ -228,18 +249,18 @@ def _keys(columns, names):
     return list(zip(*[[copies.text(value) for value in columns[name].tolist()] for name in names]))
 
 
-def _interval_shares(values, part, rule):
-    """How far outside their intervals numbers are, as shares of what is allowed."""
+def _interval_shares(values, part, rule, whole=0.0):
+    """How far outside their intervals numbers are, as shares of what is allowed; a count may be ``whole`` further."""
     import numpy as np
 
     if values.dtype.kind not in "iubf":  # text where there were numbers
         return np.full(len(values), np.inf)
-    whole = values.dtype.kind in "iub" and all(part[end].dtype.kind in "iub" for end in (".low", ".high"))
+    counts = values.dtype.kind in "iub" and all(part[end].dtype.kind in "iub" for end in (".low", ".high"))
     low, high, lost = (part[end].astype(float) for end in _ENDS)
     values = values.astype(float)
     with np.errstate(invalid="ignore"):
         outside = np.maximum(np.maximum(low - values, values - high), 0.0)
-        slack = 0.0 if whole else rule.rtol * np.maximum(np.abs(low), np.abs(high)) + FLOOR
+        slack = whole if counts else rule.rtol * np.maximum(np.abs(low), np.abs(high)) + FLOOR
         allowed = WIDER * (high - low) + slack
         shares = np.where(outside > 0, outside / np.where(allowed > 0, allowed, np.nan), 0.0)
     shares = np.where(np.isnan(shares), np.inf, shares)

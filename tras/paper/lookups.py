@@ -6,7 +6,7 @@ which the choices must leave one row, or the min, max, median, mean, sum, count 
 ``"<0.5"``, or a list of which any counts. ``parameter(STAGE, NAME)`` is a parameter that this stage ran with;
 ``| number(FORMAT)`` formats any of them as Python does, and ``{% if ... %}`` lets the tables decide what is said.
 
-The report, the conclusions of the notebooks and the test of the prose (`tests/paper/test_prose.py`) all use this.
+The site, the conclusions of the notebooks and the test of the prose (`tests/paper/test_prose.py`) all use this.
 """
 
 import functools

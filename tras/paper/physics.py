@@ -61,6 +61,17 @@ def lumped_parameters(model: KoopmanModel, recording: Recording) -> pd.Series:
     ValueError
         If model or recording have other channels or units, the model has no vector field or gives no finite rate, or
         the motion is too poor to tell the parameters apart.
+
+    Examples
+    --------
+    >>> import tras
+    >>> loop = tras.simulate_closed_loop(tras.multisine(40, 0.01, [1.0, 2.0], [0.8, 2.0], 0), 0.01)
+    >>> log = loop.select(inputs=["u_phi", "u_psi"])
+    >>> model = tras.KoopmanModel(tras.Mechanical(), strength=0).fit(log)
+    >>> lumped_parameters(model, log)[["J", "C_phi"]].round(4).to_dict()
+    {'J': 0.0238, 'C_phi': 0.0127}
+    >>> tras.PlantParameters().J, tras.PlantParameters().C_phi
+    (0.0238, 0.0127)
     """
     return pd.Series(_estimate(model, _plant_channels(join(recording))), index=list(PARAMETER_NAMES), name="value")
 
@@ -107,6 +118,16 @@ def parameter_intervals(
     ValueError
         As `lumped_parameters`; also on a count or level out of range, a single trajectory, ``points`` of other
         trajectories, or a draw that cannot be identified.
+
+    Examples
+    --------
+    >>> import tras
+    >>> loop = tras.simulate_closed_loop(tras.multisine(40, 0.01, [1.0, 2.0], [0.8, 2.0], 0), 0.01)
+    >>> log = loop.select(inputs=["u_phi", "u_psi"]).cut(401)
+    >>> model = tras.KoopmanModel(tras.Mechanical(), strength=0).fit(log)
+    >>> intervals = parameter_intervals(model, log, draws=3)
+    >>> list(intervals.columns), bool((intervals["low"] <= intervals["high"]).all())
+    (['value', 'low', 'high', 'standard_error'], True)
     """
     arguments.whole_number("draws", draws, 2)
     arguments.number("level", level, 0, 1, ends=False, give="a confidence between 0 and 1, for example 0.95")

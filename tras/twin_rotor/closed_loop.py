@@ -43,6 +43,11 @@ class PID:
     ------
     ValueError
         If a gain is not a finite number or the limits are not two finite torques in order.
+
+    Examples
+    --------
+    >>> PID.pole_placement(inertia=0.03, limits=(-0.4, 0.4), frequency=2.0)
+    PID(P=0.12, I=0.12, D=0.108, limits=(-0.4, 0.4))
     """
 
     P: float
@@ -184,6 +189,7 @@ def simulate_closed_loops(
 
     Examples
     --------
+    >>> import numpy as np
     >>> rng = np.random.default_rng(0)
     >>> rigs = [PlantParameters(K_psi=k) for k in rng.uniform(0.002, 0.004, 30)]
     >>> simulate_closed_loops(np.tile([0.3, 1.0], (101, 1)), 0.01, rigs).states.shape

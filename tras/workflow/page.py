@@ -21,7 +21,7 @@ STYLE = """\
 :root { color: #1a1a1a; background: #fff; font: 1.05rem/1.6 Georgia, "DejaVu Serif", serif; }
 * { box-sizing: border-box; }
 body { max-width: 64rem; margin: 0 auto; padding: 1rem 1rem 4rem; overflow-wrap: break-word; }
-main > *, main > article { max-width: 44rem; } main > .scroll, main > .wide { max-width: 100%; }
+main > *, main > article { max-width: 44rem; } main > .scroll { max-width: 100%; }
 h1, h2, h3, nav, table, .verdict { font-family: system-ui, "DejaVu Sans", sans-serif; }
 h1, h2, h3 { line-height: 1.25; }
 h1 { font-size: 1.9rem; }
@@ -36,7 +36,6 @@ nav > ul > li { break-inside: avoid; }
 nav ul { margin: .3rem 0; padding-left: 1.2rem; }
 figure { margin: 1.8rem 0; } figure img { display: block; width: 100%; max-width: 36rem; height: auto; }
 figcaption, caption { font: .92rem/1.45 Georgia, "DejaVu Serif", serif; text-align: left; color: #333; }
-figure.wide img { max-width: 62rem; }
 figcaption { max-width: 36rem; margin-top: .6rem; } caption { padding-bottom: .5rem; }
 caption > span { display: block; position: sticky; left: 0; max-width: min(42rem, calc(100vw - 2.2rem)); }
 .scroll { overflow-x: auto; margin: 1.5rem 0; }
@@ -48,8 +47,7 @@ table { border-collapse: collapse; font-size: .85rem; line-height: 1.4; }
 th, td { text-align: left; vertical-align: top; padding: .3rem .6rem; border-bottom: 1px solid #ddd; }
 thead th { border-bottom: 2px solid #555; vertical-align: bottom; } tbody th { font-weight: 600; }
 .numbers td { white-space: nowrap; } .numbers .number { text-align: right; font-variant-numeric: tabular-nums; }
-.numbers th[scope="row"] { min-width: 5.5rem; } .prose td { min-width: 8rem; }
-.prose td:last-child { min-width: 14rem; }
+.numbers th[scope="row"] { min-width: 5.5rem; }
 .verdict { display: inline-block; font-weight: bold; font-size: .88rem; line-height: 1.3; padding: .1rem .5rem;
 border: 2px solid; background: #fff; }
 .reproduced { color: #0a5c36; } .named { color: #6b4a00; border-style: dashed; }
@@ -57,14 +55,12 @@ border: 2px solid; background: #fff; }
 .uncheckable { color: #444; border-style: dotted; }
 article { border-left: 3px solid #bbb; padding: .1rem 0 .1rem 1rem; margin: 1.6rem 0; }
 article p { margin: .35rem 0; }
-.lacking { border: 1px solid #777; padding: .5rem .8rem; background: #f7f7f7; }
-.details { font-size: .9rem; color: #333; }
 @media print {
   * { box-sizing: border-box; }
 :root { font-size: 10pt; } body { max-width: none; padding: 0; } .scroll, .equation { overflow: visible; }
-  th[scope="row"], .prose td:last-child, .prose td { min-width: 0 !important; }
+  th[scope="row"] { min-width: 0 !important; }
   table { font-size: 7pt; } th, td { padding: .15rem .3rem; white-space: normal !important; }
-  figure img { max-width: 28rem; } figure.wide img { max-width: 100%; } nav { display: none; }
+  figure img { max-width: 28rem; } nav { display: none; }
   figure, article, tr { break-inside: avoid; } h2, h3, caption { break-after: avoid; } a { color: inherit; }
 }
 """
@@ -92,7 +88,7 @@ def formula(tex: str, *, display: bool = False) -> str:
 def table(head: list, rows: list, caption: str, *, keys: int = 1, kind: str = "numbers") -> str:
     """A table whose first ``keys`` columns name the row; cells are HTML already, the caption too.
 
-    ``kind`` is "numbers" (columns of numbers stand to the right, no cell is broken), or for text "prose" or "short".
+    ``kind`` is "numbers" (columns of numbers stand to the right, no cell is broken), or "short" for text.
     """
     styles = [""] * len(head)
     if kind == "numbers" and rows:
@@ -112,10 +108,8 @@ def table(head: list, rows: list, caption: str, *, keys: int = 1, kind: str = "n
     )
 
 
-def figure(path: Path, alt: str, caption: str, identity: str, *, wide: bool = False) -> str:
+def figure(path: Path, alt: str, caption: str, identity: str) -> str:
     """A figure from a file ``path`` (.svg or .png), inside the page; ``caption`` is HTML, the others are text.
-
-    One of two columns is ``wide``, as wide as there is room, so that its small print can be read.
 
     A ValueError if the file is no picture of its kind.
     """
@@ -125,8 +119,7 @@ def figure(path: Path, alt: str, caption: str, identity: str, *, wide: bool = Fa
     data = base64.b64encode(content).decode()
     size = f'width="{width:.0f}" height="{height:.0f}"'
     image = f'<img src="data:image/{kind};base64,{data}" {size} alt="{escape(alt)}" />'
-    style = ' class="wide"' if wide else ""
-    return f'<figure id="{escape(identity)}"{style}>{image}\n<figcaption>{caption}</figcaption></figure>\n'
+    return f'<figure id="{escape(identity)}">{image}\n<figcaption>{caption}</figcaption></figure>\n'
 
 
 def picture(folder: Path, name: str) -> Path | None:

@@ -213,6 +213,7 @@ def main(arguments: list[str] | None = None) -> int:
             section = read_params(options.params, options.notebook) if options.params else {}
             parameters = check_parameters(section, defaults, f"{options.params}, section {name}")
             parameters |= check_parameters(parse_settings(options.set), defaults, f"--set for {name}")
+            print(f"{name} begins", flush=True)
             seconds = run_notebook(options.notebook, options.executed, parameters, options.outputs)
         print(f"{name}  {seconds:.1f} s", flush=True)
         return 0

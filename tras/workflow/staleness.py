@@ -169,11 +169,16 @@ class Package:
         target = _literal(node.args[0], None)
         return self._named(target) if isinstance(target, str) and not target.startswith(".") else set(self.paths)
 
-    def closure(self, modules: set[str]) -> set[str]:
-        """A set of modules together with all that they need in turn, and the packages that they are in."""
+    def closure(self, modules: set[str], without: str = "") -> set[str]:
+        """A set of modules together with all that they need in turn, and the packages that they are in.
+
+        ``without``: a room that is left out, with what is needed by it alone.
+        """
         todo, closed = set(modules), set()
         while todo:
             module = todo.pop()
+            if without and f"{module}.".startswith(f"{without}."):
+                continue
             closed.add(module)
             todo |= (self.needs(self.tree(module), module) | self._named(module)) - closed
         return closed
