@@ -215,6 +215,14 @@ def test_every_notebook_page_and_figure_is_there(site):
 
 
 @pytest.mark.slow
+def test_cells_that_write_conclusions_are_folded(site):
+    article = page_of(site, "notebooks/05_robustness")
+    folded = [element.get_text() for element in article.find_all("details")]
+    assert folded and all("conclude(" in text for text in folded)
+    assert "conclude(\n" not in "".join(cell.get_text() for cell in article.select("div.cell:not(.tag_hide-input)"))
+
+
+@pytest.mark.slow
 def test_formulas_are_mathml(site):
     """Browsers draw an element with a wrong number of parts as an error, or in a row."""
     parts = dict.fromkeys(("msup", "msub", "mover", "munder", "mfrac", "mroot"), 2)
