@@ -5,6 +5,7 @@ is made here. A section or block whose files are missing says so in one sentence
 node of text, which Sphinx escapes; a caption is Markdown, in which the lookups escape.
 """
 
+import json
 import re
 from pathlib import Path
 
@@ -55,8 +56,19 @@ def _not_ours(app, what, name, member, skip, options):
 def _read(app, name, source):
     """Links as they are in the repository lead to the same pages here, and lookups become numbers."""
     source[0] = source[0].replace("](../docs/", "](../") if "/" in name else source[0].replace("](../", "](")
+    if app.env.doc2path(name).suffix == ".ipynb":
+        source[0] = _folded(source[0])
     if name in app.config.tras_pages:
         source[0] = render(source[0], _sources(app.config))
+
+
+def _folded(notebook):
+    """Fold the cells that write conclusions: what they write stands below them, with its numbers."""
+    content = json.loads(notebook)
+    for cell in content["cells"]:
+        if cell["cell_type"] == "code" and "".join(cell["source"]).startswith("conclude("):
+            cell["metadata"].setdefault("tags", []).append("hide-input")
+    return json.dumps(content)
 
 
 def render(text: str, sources: Sources) -> str:
