@@ -1,8 +1,10 @@
 """Recordings in files of other tools: columns and their roles, times, gaps, damage."""
 
+import contextlib
 import json
 import re
 import tracemalloc
+import warnings
 
 import h5py
 import numpy as np
@@ -248,6 +250,14 @@ def test_a_missing_time_and_a_single_row_between_two_gaps(tmp_path):
     recording = R.read(write(tmp_path / "a.csv", table(rows)))
     assert list(recording.lengths) == [2, 3] and recording.dt == 0.1
     assert "t at line 4; u at line 6" in sentences(recording) and "left out 1 single samples" in sentences(recording)
+
+
+def test_infinite_and_huge_numbers_raise_no_warning_of_numpy(tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for rows in ("inf,t,0\ninf,t,t\n", "inf,1,2\ninf,2,1\n", "1e308,1,2\n-1e308,2,1\n", "1,1e308,1\n2,-1e308,2\n"):
+            with contextlib.suppress(tras.RecordingError):
+                R.read(write(tmp_path / "a.csv", "t,q,u\n" + rows))
 
 
 def test_constant_columns_are_noticed(tmp_path):

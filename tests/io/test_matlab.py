@@ -1,6 +1,7 @@
 """MATLAB's files: versions, layouts, objects, what is left out, the test set that a file brings, damage."""
 
 import struct
+import tracemalloc
 import zlib
 
 import h5py
@@ -162,13 +163,16 @@ def test_a_signal_of_another_length_is_left_out_and_said(tmp_path):
 
 
 @pytest.mark.parametrize("kind, words", [
-    ("link", "is a link to somewhere else"), ("external", "lie in another file"), ("circle", "nested more than 8"),
+    ("link", "is a link to somewhere else"), ("objects", "'MCOS' is a link to somewhere else"),
+    ("external", "lie in another file"), ("circle", "nested more than 8"),
 ])  # fmt: skip
 def test_newer_files_that_lead_elsewhere_are_refused(kind, words, tmp_path):
     hdf(tmp_path / "a.mat", {"t": TIME, "x": X})
     with h5py.File(tmp_path / "a.mat", "r+") as file:
         if kind == "link":
             file["z"] = h5py.ExternalLink("/etc/passwd", "/")
+        elif kind == "objects":
+            file["#subsystem#/MCOS"] = h5py.ExternalLink("/etc/passwd", "/")
         elif kind == "external":
             file.create_dataset("z", (4, 1), "u1", external=[("/etc/passwd", 0, 4)])
         else:
@@ -240,7 +244,7 @@ def newer(kind, **attributes):
 @pytest.mark.parametrize("odd, words", [
     (HANDLE, "z .a function handle."), (COMPLEX, "z .complex numbers.; to have them, save real and imaginary part"),
     (SPARSE, "z .a sparse matrix.; to have them, save full"), (opaque("timeseries", "z"), "z .an object .timeseries.."),
-    (instance("zpk", "z", {"gain": text("x")}), ""), (newer("function_handle"), "z .a function handle."),
+    (instance("zpk", "z", {"gain": matrix(X)}), "z .an object .zpk.."), (newer("function_handle"), "z .a function"),
     (newer("timetable", MATLAB_object_decode=3), "z .an object .timetable.."), (newer(""), "z .complex numbers."),
     (newer("double", MATLAB_sparse=np.uint64(3)), "z .a sparse matrix."), (newer("string"), "z .of class string."),
 ])  # fmt: skip
@@ -255,6 +259,15 @@ def test_what_is_not_read_is_left_out_and_said(odd, words, tmp_path):
         recording = R.read(tmp_path / "a.mat", roles)
         assert np.array_equal(recording.states[0], X) and np.array_equal(recording.inputs[0], U)
         assert not words or __import__("re").search(f"left out: {words}", sentences(recording))
+
+
+def test_a_name_as_long_as_a_book_is_no_name(tmp_path):
+    savemat(tmp_path / "a.mat", {"log": scope(TIME, X, labels=["q" * 10**6]), "u": U})
+    with pytest.raises(
+        tras.RecordingError, match="a signal has a name of 1000000 letters; up to 1000 are read"
+    ) as error:
+        R.read(tmp_path / "a.mat")
+    assert len(str(error.value)) < 1000
 
 
 def test_what_is_not_read_in_structs_and_cells(tmp_path):
@@ -355,6 +368,8 @@ def test_iddata(tmp_path):
     assert np.array_equal(recording.states[0], X) and np.array_equal(recording.inputs[0], U)
     assert recording.attributes["intersample"] == {"Position": "foh"}
     assert "an iddata object says what they are: outputs Angular Velocity, Voltage" in sentences(recording)
+    beside = version5(tmp_path / "b.mat", experiment_data("data", (X, U)), matrix(X, "x"))
+    assert "left out: x, beside an iddata object" in sentences(R.read(beside))
     chosen = R.read(tmp_path / "a.mat", {"inputs": ["Voltage"]})  # what the user says goes before what the file says
     assert chosen.state_names == ("Angular Velocity",) and chosen.attributes["intersample"] == {}
 
@@ -739,6 +754,7 @@ HOLDS_ITSELF = [table_of(reference(1, 1)), DURATION]
         [table_of(reference(2, 1)), DURATION],
         [table_of(STEPS, rows=1e12), matrix([[1.0]])],
         [table_of(STEPS, rows=np.inf), matrix([[1.0]])],
+        [table_of(STEPS, rows=1e8, data=cells(), varNames=cells()), matrix([[1.0]])],
         [table_of(reference(2, 2), data=cells(matrix(X[:3]), matrix(U[:3]))), DURATION],
         [table_of(reference(2, 2), data=cells(matrix(X))), DURATION],
         [table_of(reference(2, 2), varNames=cells(matrix(X), matrix(U))), DURATION],
@@ -753,6 +769,18 @@ def test_objects_that_do_not_fit_are_left_out_with_advice(values, tmp_path):
     path = version5(tmp_path / "a.mat", reference(1, 1, ("timetable", "log")), whole)
     with pytest.raises(tras.RecordingError, match=r"(?s)left out: log .an object .timetable.*timetable2table\(log\)"):
         R.read(path)
+
+
+@pytest.mark.parametrize("place, number", [(0, 7), (1, 2**32 - 1), (1, 0), (2, 2), (4, 0), (4, 2**32 - 1), (5, 9)])
+def test_references_that_lie_cost_nothing(place, number, tmp_path):
+    label = bytearray(reference(1, 1, ("timetable", "log")))
+    label[-24 + 4 * place : len(label) - 24 + 4 * place + 4] = number.to_bytes(4, "little")
+    whole = store(("timetable", {"any": 0}), ("duration", {"millis": 1}), values=[table_of(reference(2, 2)), DURATION])
+    tracemalloc.start()
+    with pytest.raises(tras.RecordingError, match="left out: log .an object .timetable."):
+        R.read(version5(tmp_path / "a.mat", bytes(label), whole))
+    assert tracemalloc.get_traced_memory()[1] < 10**7
+    tracemalloc.stop()
 
 
 def test_many_variables_that_are_one_object_cost_one(tmp_path):

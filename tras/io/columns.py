@@ -20,6 +20,7 @@ _PART = re.compile(
     rf"(?:|(?P<stem1>.*?)_|(?P<stem2>[uyxzt]\d?)|(?P<stem3>.*[a-z0-9])(?=[A-Z]))(?P<word1>(?i:{_FIT}|{_TEST}))"
     rf"|(?P<word2>(?i:{_FIT}|{_TEST}))(?:_(?P<stem4>.+)|(?P<stem5>[A-Z].*))"
 )
+_LONGEST_NAME = 1000  # letters
 _AGREE = 0.01  # of the shortest step: how far two stamps of the same instant may be apart
 
 
@@ -145,6 +146,8 @@ def _table(entries, widths, odd):
     count = None if times else _samples({name: array for name, array, *_ in entries if array.ndim == 2}, widths)
     channels, widths, rows = {}, dict(widths), count or 0
     for name, array, time, _ in entries:
+        if len(name) > _LONGEST_NAME:
+            raise RecordingError(f"a signal has a name of {len(name)} letters; up to {_LONGEST_NAME} are read.")
         if times and time is None and array.size in array.shape and roles.guess_role(name) == "time":
             if _digest(array.ravel()) not in numbers:
                 odd[name] = "signals beside it have times of their own"
@@ -252,7 +255,7 @@ def _short(entries, odd):
             full, *ends = _prints(name.label, array, time)
             other = whole.get(full) or cut.get(full) or next((whole[end] for end in ends if end in whole), None)
             if other:
-                odd[_long(name)] = f"the same as {_long(other)}"
+                odd[_long(name)[:_LONGEST_NAME]] = f"the same as {_long(other)[:_LONGEST_NAME]}"
                 continue
             whole[full] = name
             cut |= dict.fromkeys(ends, name)

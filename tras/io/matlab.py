@@ -52,6 +52,8 @@ def _source(variables):
         if says and claims and claims != says:
             raise RecordingError("its iddata objects have other channels or sampling times than each other.")
         says = says or claims
+        beside = [key for key, value in part.items() if claims and not iddata.is_iddata(value)]
+        remarks += [f"left out: {', '.join(beside[:8])}, beside an iddata object"] if beside else []
         test += range(len(trials), len(trials) + len(new)) if is_test else []
         trials += new
     remarks += workspace.left_out(unread)
@@ -138,11 +140,15 @@ def _opened(content):
     steps = []
     while True:
         steps += _steps(content)
-        content = {key: each for key, each in content.items() if isinstance(each, (list, dict)) or np.size(each) > 1}
+        content = {key: each for key, each in content.items() if isinstance(each, (list, dict)) or _is_array(each)}
         first = next(iter(content.values()), None)
         if len(content) != 1 or not isinstance(first, dict) or columns.is_signal(first) or iddata.is_iddata(first):
             return content, steps
         content = dict(first)
+
+
+def _is_array(value):
+    return isinstance(value, np.ndarray) and value.size > 1
 
 
 def _trials(content):

@@ -25,7 +25,9 @@ def read_variables(path: Path) -> dict:
     try:
         with h5py.File(path, "r") as file:
             variables = {name: _value(_member(file, name), name, 0, budget) for name in file if name[:1] != "#"}
-            store = file.get("#subsystem#/MCOS")
+            store = file
+            for name in ("#subsystem#", "MCOS"):
+                store = _member(store, name) if isinstance(store, h5py.Group) and name in store else None
             is_store = isinstance(store, h5py.Dataset) and h5py.check_ref_dtype(store.dtype)
             return mcos.resolved(variables, _cells(store, "objects", 0, budget)) if is_store else variables
     except RecordingError:

@@ -90,7 +90,12 @@ class _Objects:
         """The object that a reference means, an `Instance`."""
         numbers = [int(number) for number in reference.ravel()[:64]]
         dimensions = numbers[1]
-        if numbers[0] != _OBJECT or numbers[2 : 2 + dimensions] != [1] * dimensions or depth > MAX_DEPTH:
+        if (
+            not 2 <= dimensions <= 32
+            or numbers[0] != _OBJECT
+            or numbers[2 : 2 + dimensions] != [1] * dimensions
+            or depth > MAX_DEPTH
+        ):
             raise LayoutError
         number = numbers[2 + dimensions]
         if number in self.instances:
@@ -147,8 +152,8 @@ def _numbers(instance):
     content = instance["any"]
     original = content["varNamesOrig"] if np.any(content.get("useVarNamesOrig", 0)) else content["varNames"]
     rows = int(content["numRows"].item())
-    if not all(len(value) == rows for value in content["data"] if isinstance(value, np.ndarray)) or rows > MAX_VALUES:
-        raise LayoutError
+    if {len(value) for value in content["data"] if isinstance(value, np.ndarray)} != {rows}:
+        raise LayoutError  # before room is made for so many times
     time = _seconds(content["rowTimes"], rows)
     if time.size != rows:
         raise LayoutError

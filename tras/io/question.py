@@ -40,7 +40,8 @@ def screen(question: Question, paths: list) -> str:
     lines += [f"  ... and {hidden} more"] if hidden > 0 else []
     answer = question.answer
     sampling = "" if answer.time or question.args[0].find("no sampling time") < 0 else (
-        "There is no column of time: DT=1 counts samples, put your sampling time in s in its place.\n"
+        f"There is no column of time: {'DT=1' if paths else 'dt'} counts samples, put your sampling time in s in its "
+        "place.\n"
     )  # fmt: skip
     table = f"{question}. Which are states and inputs? A guess:\n" + "\n".join(lines) + "\n" + sampling
     if not paths:  # an open table

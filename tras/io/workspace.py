@@ -51,6 +51,9 @@ def readable(value, path: str, unread: list):
 
     A cell array with such a cell is left out as a whole, so that trials stay side by side.
     """
+    if isinstance(value, Instance) and value.kind != "iddata" and not {"time", "data"} <= set(map(str.lower, value)):
+        unread.append((path, Unread(f"an object ({value.kind[:60]})", value.kind[:60])))
+        return None
     if isinstance(value, dict):
         fields = {}
         for key, inner in value.items():
@@ -78,7 +81,7 @@ def left_out(unread: list) -> list[str]:
     """One remark on all values that were not read, or none."""
     if not unread:
         return []
-    items = [f"{path} ({value.what})" for path, value in unread[:_MOST]]
+    items = [f"{path[:100]} ({value.what})" for path, value in unread[:_MOST]]
     more = f" and {len(unread) - _MOST} more" if len(unread) > _MOST else ""
     advice = sorted({_ADVICE[value.what] for _, value in unread if value.what in _ADVICE})
     return [f"left out: {', '.join(items)}{more}" + (f"; to have them, {' and '.join(advice)}" if advice else "")]
