@@ -114,12 +114,13 @@ sweep: $(READY) ## explore |  | many fits: SWEEP=params/sweeps/dictionaries.yaml
 # RECORDING=log.csv, "a.csv b.csv" or "run*.csv", and where names are not plain ROLES=roles.yaml or STATES=a,b INPUTS=c TIME=t TRIAL=run; also
 # TEST= FROM= TO= DECIMATE= DT= RESAMPLE= PREDICTOR= DELAYS= SMOOTHING= DRAWS= OUT= (docs/own_rig.md).
 IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL TEST FROM TO DECIMATE DT RESAMPLE PREDICTOR DELAYS SMOOTHING DRAWS
+# Only what stands on the command line: TEST, FROM and TIME may be in anybody's environment.
 quoted = '$(subst ','\'',$(1))'
 lower = $(shell printf %s "$(1)" | tr A-Z a-z)
 
 identify: $(READY) ## your rig | 15 s | a model of your own system: make identify RECORDING=log.csv (docs/own_rig.md)
 	@$(if $(RECORDING),,echo "say which recording: make identify RECORDING=log.csv (make example writes one to try)" >&2; exit 2)
-	@$(PY) -m tras.identification.command $(call quoted,$(RECORDING)) $(foreach name,$(IDENTIFY),$(if $($(name)),--$(call lower,$(name))=$(call quoted,$($(name)))))
+	@$(PY) -m tras.identification.command $(call quoted,$(RECORDING)) $(foreach name,$(IDENTIFY),$(if $(and $(filter command,$(origin $(name))),$($(name))),--$(call lower,$(name))=$(call quoted,$($(name)))))
 
 example: $(READY) ## your rig |  | recordings of two simulated systems to try it on, in build/example/
 	@$(PY) -m tras.identification.examples duffing build/example/duffing.csv

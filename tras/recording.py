@@ -417,7 +417,7 @@ class Recording:
         except (FileNotFoundError, MissingExtraError):
             raise
         except Exception as error:  # damaged files make the libraries below raise anything
-            name = ", ".join(map(str, paths))
+            name = ", ".join(map(str, paths)) if len(paths) < 4 else f"{paths[0]} and {len(paths) - 1} more files"
             if paths[0].suffix == ".nc" and not str(error).startswith(name):
                 raise RecordingError(
                     f"{name} cannot be read as a recording ({error}); make it again with Recording.write."

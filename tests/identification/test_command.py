@@ -185,3 +185,12 @@ def test_wrong_files_are_a_sentence_before_anything_runs(arguments, words, tmp_p
 
 def test_names_with_commas_and_none():
     assert command._names('a, "b,c" ,d e') == ["a", "b,c", "d e"] and command._names("") == []
+
+
+def test_variables_of_the_environment_are_no_options():
+    environment = {key: value for key, value in os.environ.items() if not key.startswith(("MAKE", "MFLAGS"))}
+    environment |= {"TEST": "no.csv", "FROM": "3", "TIME": "00:00", "OUT": "/"}
+    words = ["make", "-n", "identify", "RECORDING=a.csv", "TO=5"]
+    done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True)
+    command_line = done.stdout.strip().split("\n")[-1]
+    assert command_line.split()[-2:] == ["'a.csv'", "--to='5'"]

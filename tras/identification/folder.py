@@ -30,7 +30,7 @@ def open_log(
     paths=(), *, roles=None, states=None, inputs=None, time="", trial="", dt=None, resample=None, start=None, end=None,
     decimate=1, test=(),
 ) -> Recording:  # fmt: skip
-    """Read a recording, its roles by name or by a YAML file; without a path take the `example` "duffing".
+    """Read a recording of one path or several, its roles by name or by a YAML file; of none the `example` "duffing".
 
     "none" as a role says that there is none; ``test`` holds paths, or numbers of trials as text. A .nc file knows its
     roles: ``states`` and ``inputs`` then choose among them.
@@ -42,6 +42,7 @@ def open_log(
     """
     if not paths:
         return example("duffing")
+    paths = [paths] if isinstance(paths, (str, Path)) else list(paths)
     samples = {"dt": dt or None, "resample": resample or None, "start": start or None, "end": end or None}
     samples |= {"decimate": decimate, "test": [int(each) if str(each).isdigit() else each for each in test] or None}
     if Path(paths[0]).suffix == ".nc":
