@@ -66,7 +66,7 @@ def _folded(notebook):
     """Fold the cells that write conclusions: what they write stands below them, with its numbers."""
     content = json.loads(notebook)
     for cell in content["cells"]:
-        if cell["cell_type"] == "code" and "".join(cell["source"]).startswith("conclude("):
+        if cell["cell_type"] == "code" and re.search(r"^conclude\(", "".join(cell["source"]), re.M):
             cell["metadata"].setdefault("tags", []).append("hide-input")
     return json.dumps(content)
 
