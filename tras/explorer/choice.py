@@ -183,7 +183,7 @@ _MECHANICAL = {"input": "torque", "dictionary": "mechanical", "size": 8}
 # Choices worth a look, in the order of explore.ipynb
 EXAMPLES = {
     "the paper's text": Choice(),
-    "nearest to the paper's numbers": Choice(nrmse_range="trajectory"),
+    "nearest with one change": Choice(nrmse_range="trajectory"),
     "torques as input": Choice(input="torque"),
     "torques, cubic terms": Choice(**_CUBIC),
     "torques, functions for mechanics": Choice(**_MECHANICAL, field="coordinates", extrapolation="linear"),
