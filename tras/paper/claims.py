@@ -73,37 +73,36 @@ def nrmse(grid: pd.DataFrame, around: pd.DataFrame, angle: str) -> dict:
     Of the readings that meet both, the one with the fewest departures from the default counts, if at most `BY_CHANCE`
     of random pairs of numbers have a reading as near that departs as little.
     """
-    ranking = effects.nearest(grid)
+    usual = readings.Readings()
     everything = effects.nearest(pd.concat([grid, around], ignore_index=True))
-    default = _rows(ranking, **readings.Readings().model_dump())
+    tried = effects.without_refinement(everything, usual)
+    default = _rows(tried, **usual.model_dump())
     ours = default.iloc[0] if len(default) else None
-    both = everything[_meets(everything, "yaw") & _meets(everything, "pitch")]
-    departures = effects.departures(everything, readings.Readings())
+    both = tried[_meets(tried, "yaw") & _meets(tried, "pitch")]
+    departures = effects.departures(tried, usual)
     candidates = both.assign(departures=departures[both.index]).sort_values(["departures", "distance"], kind="stable")
-    tried, once = effects.summary(grid), len(ranking) // 2
+    summary, once = effects.summary(grid), len(effects.nearest(grid)) // 2
     evidence = (
-        f"default reading {_range(ours, angle)}; {len(both)} of {len(everything)} readings meet both numbers at once "
-        f"({len(tried)} combinations of the options were tried, {tried['complete'].sum()} have a number for every "
-        f"seed, {once} when free runs, whose range is the same twice, count once; "
-        f"{(len(everything) - len(ranking)) // 2} more with other gains or plants, one at a time; each has both "
-        "namings of the angles)"
+        f"default reading {_range(ours, angle)}; {len(both)} of {len(tried)} readings meet both numbers at once "
+        f"({len(summary)} combinations of the options, of which {summary['complete'].sum()} have a number for every "
+        f"seed, {once} when free runs, whose range is the same twice, count once; {len(tried) // 2 - once} with other "
+        "gains or another plant in the default reading; each has both namings of the angles)"
     )
     hardly_chance = False
     if len(both):
         candidate = candidates.iloc[0]
         allowed = departures <= candidate["departures"]
-        rng = np.random.default_rng(0)
-        share = effects.chance(everything, candidate["distance"], rng, among=allowed)
+        share = effects.chance(tried, candidate["distance"], np.random.default_rng(0), among=allowed)
         hardly_chance = share <= BY_CHANCE
         evidence += (
             f"; the one with the fewest departures from the default ({effects.describe(candidate)}) has "
             f"{_both(candidate)}, and {share:.1%} of random pairs have a reading as near that departs as little"
         )
-    nearest = everything.iloc[0]
-    share = effects.chance(everything, nearest["distance"], np.random.default_rng(0))
+    nearest = tried.iloc[0]
+    share = effects.chance(tried, nearest["distance"], np.random.default_rng(0))
     evidence += (
-        f"; the nearest of all ({effects.describe(nearest)}) has {_both(nearest)}, and {share:.0%} of random pairs "
-        "have a reading as near"
+        f"; the nearest ({effects.describe(nearest)}) has {_both(nearest)}, and {share:.0%} of random pairs have a "
+        f"reading as near; other gains or plants round the nearest come to {everything['distance'].iloc[0]:.2f}"
     )
     numbers = [math.nan] * 3 if ours is None else [ours[angle + end] for end in ("", "_lowest", "_highest")]
     verdict = _verdict(_meets(default, angle).any(), effects.describe(candidates.iloc[0]) if hardly_chance else "")
@@ -199,7 +198,7 @@ def other_methods(comparison: pd.DataFrame) -> dict:
         "Ours, each method tuned by the same rule, yaw / pitch over 6 s in %, "
         f"ranked by the geometric mean, those with lost windows last; {'; '.join(parts)}"
     )
-    return _row((UNCHECKABLE, ""), "", [math.nan] * 3, evidence, "comparison_horizon")
+    return _row((UNCHECKABLE, ""), "", [math.nan] * 3, evidence, "comparison_window")
 
 
 def _windows(comparison):
@@ -212,9 +211,11 @@ def _windows(comparison):
 
 
 def _yaw_pitch(errors, method, source):
-    if (method, source) not in errors.index:
-        return "-"
-    return "{yaw:.3g} / {pitch:.3g}".format(**errors.loc[(method, source)])
+    return _slash(errors.loc[(method, source), ["yaw", "pitch"]]) if (method, source) in errors.index else "-"
+
+
+def _slash(values, spec=".3g"):
+    return " / ".join("–" if math.isnan(value) else format(value, spec) for value in values)
 
 
 def starts(metrics: pd.DataFrame) -> dict:
@@ -283,9 +284,9 @@ def cost(grid: pd.DataFrame, metrics: pd.DataFrame) -> dict:
     evidence = (
         f"monomials of degree 3 are {few} for 4 states and 2 inputs and {many} with two rotor speeds more; K takes a "
         f"multiple of N² operations per sample, {(many / few) ** 2:.1f} times as many. With torques {few} miss "
-        f"yaw / pitch by {theirs[0]:.3g} / {theirs[1]:.3g} % ({lost} windows or fits lost), 81 functions for "
-        f"mechanical systems by {ours[0]:.2g} / {ours[1]:.2g} %; a linear model, 7 functions at "
-        f"1/{(few / 7) ** 2:.0f} of the operations, by {straight[0]:.3g} / {straight[1]:.3g} %"
+        f"yaw / pitch by {_slash(theirs)} % ({lost} windows or fits lost), 81 functions for mechanical systems by "
+        f"{_slash(ours, '.2g')} %; a linear model, 7 functions at 1/{(few / 7) ** 2:.0f} of the operations, by "
+        f"{_slash(straight)} %"
     )
     verdict = (REPRODUCED, "torque") if gain > 10 and many > few else (NOT, "")
     quantity = "error of 84 monomials over that of 81 mechanical functions, the smaller of both angles"
@@ -358,6 +359,7 @@ def findings(rows, ranking):
     numbers = [*angles, *(f"{angle}_{end}" for angle in angles for end in ("lowest", "highest"))]
     ranking = pd.DataFrame(ranking)
     ranking = ranking.assign(**{name: ranking[name].astype(float) for name in (*numbers, "distance")})
+    ranking = effects.without_refinement(ranking, readings.Readings())
     nearest, linear = ranking.iloc[0], ranking[ranking["dictionary"] == "linear"].iloc[0]
     share = effects.chance(ranking, nearest["distance"], np.random.default_rng(0))
     told = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])

@@ -105,13 +105,23 @@ def departures(ranking: pd.DataFrame, default: readings.Readings) -> np.ndarray:
     return (ranking[options] != [getattr(default, option) for option in options]).sum(axis=1).to_numpy()
 
 
+def without_refinement(ranking: pd.DataFrame, default: readings.Readings) -> pd.DataFrame:
+    """The rows of `nearest` that were tried before any was known to be near, in their order.
+
+    These are the full product and what differs from the default in one option. Gains and plants round a near reading
+    were placed beside the paper's numbers: for them `chance` would be too small.
+    """
+    changed = ranking[list(OPTIONS)] != [getattr(default, option) for option in OPTIONS]
+    return ranking[~changed[list(readings.SINGLE)].any(axis=1) | (changed.sum(axis=1) <= 1)].reset_index(drop=True)
+
+
 def chance(ranking: pd.DataFrame, within: float, rng: np.random.Generator, *, among=None, draws: int = 2000) -> float:
     """Share of random pairs of numbers with a reading as near as ``within``: if it is large, nearness means little.
 
     Parameters
     ----------
     ranking : pandas.DataFrame
-        From `nearest`.
+        From `nearest`, `without_refinement`.
     within : float
         A distance.
     rng : numpy.random.Generator
