@@ -363,14 +363,21 @@ def findings(rows, ranking):
     nearest, linear = ranking.iloc[0], ranking[ranking["dictionary"] == "linear"].iloc[0]
     share = effects.chance(ranking, nearest["distance"], np.random.default_rng(0))
     told = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
+    told = told.replace("holds", "hold" if counts[PARTLY] > 1 else "holds")
+    changes = [
+        f"{option} ({readings.OPTIONS[option][1][nearest[option]].partition(',')[0]})"
+        for option, usual in readings.Readings().model_dump().items()
+        if nearest[option] != usual
+    ]
     tell = "may tell" if linear["distance"] > nearest["distance"] + math.log(1.1) else "cannot tell"
     return (
-        f"Of the paper's {len(rows)} statements, {told}. Of {len(ranking)} readings of its text the nearest to its two "
-        f"numbers, yaw {readings.PAPER_NRMSE['yaw']} % and pitch {readings.PAPER_NRMSE['pitch']} %, is "
-        f"{effects.describe(nearest)}: yaw {_range(nearest, 'yaw')}, pitch {_range(nearest, 'pitch')} over the seeds. "
-        f"But {share:.0%} of random pairs of numbers have a reading as near, and a linear model is off by "
-        f"{math.expm1(linear['distance']):.0%} where that one is by {math.expm1(nearest['distance']):.0%}: the two "
-        f"numbers {tell} whether the paper's model was nonlinear."
+        f"Of the paper's {len(rows)} statements: {told}. Of {len(ranking)} readings of its text the nearest to its two "
+        f"numbers, yaw {readings.PAPER_NRMSE['yaw']} % and pitch {readings.PAPER_NRMSE['pitch']} %, differs from the "
+        f"default in {' and '.join(changes) or 'nothing'}: yaw {_range(nearest, 'yaw')}, pitch "
+        f"{_range(nearest, 'pitch')} over the seeds. But {100 * share:.0f} % of random pairs of numbers have a reading "
+        f"as near, and a linear model is off by {100 * math.expm1(linear['distance']):.0f} % where that one is by "
+        f"{100 * math.expm1(nearest['distance']):.0f} %: the two numbers {tell} whether the paper's model was "
+        "nonlinear."
     )
 
 

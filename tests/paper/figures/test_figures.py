@@ -104,6 +104,16 @@ def test_what_was_varied_is_said_in_words_and_a_new_choice_by_its_name():
     assert not any("_" in label for label in labels)
 
 
+def test_plants_that_change_nothing_are_counted():
+    table = pd.read_csv(FIGURES / "readings_effects.csv")
+    plants = table[table["option"] == "plant"]
+    far = (np.log(plants["median"]).abs() > np.log(1.05)).groupby(plants["choice"]).any()
+    figure = readings.effects_figure(table)
+    labels = [text.get_text() for text in figure.axes[0].get_yticklabels()]
+    assert sum(label.startswith("plant") for label in labels) == far.sum() < len(far)
+    assert f"{(~far).sum()} other plants" in figure.get_supxlabel()
+
+
 def test_where_no_run_gave_a_model_the_curve_has_a_gap():
     table = pd.read_csv(FIGURES / "robustness_noise.csv")
     table.loc[(table["method"] == "plain") & (table["noise"] > 0), "nrmse"] = np.nan

@@ -24,6 +24,7 @@ _WORDS = {  # (option, choice) -> the label of what differs from the default
     ("start", "hanging"): "start: hanging at rest",
     ("start", "zero"): "start: both angles zero",
 }
+_SMALL = 1.05  # a median ratio of a plant up to this, or down to its inverse, is not drawn
 _MARKERS = {  # (input, frequency unit) -> how its readings are drawn
     ("reference", "rad/s"): ("o", "#0072B2"), ("reference", "Hz"): ("s", "#009E73"),
     ("torque", "rad/s"): ("^", "#D55E00"), ("torque", "Hz"): ("x", "black"),
@@ -34,6 +35,8 @@ _MARKERS = {  # (input, frequency unit) -> how its readings are drawn
 def effects_figure(table: pd.DataFrame) -> Figure:
     """Ratio of NRMSE to that of the default choice, all else equal: median, middle half, middle nine tenths.
 
+    Plants that hardly change the median of either angle are counted in place of being drawn.
+
     Parameters
     ----------
     table : pandas.DataFrame
@@ -41,6 +44,10 @@ def effects_figure(table: pd.DataFrame) -> Figure:
     """
     require(table, "table", ["option", "choice", "angle", "pairs", "median", "q05", "q25", "q75", "q95"])
     labels = list(dict.fromkeys(zip(table["option"], table["choice"])))
+    change = np.exp(np.log(table["median"]).abs().groupby([table["option"], table["choice"]]).max())
+    alike = [label for label in labels if label[0] == "plant" and change[label] <= _SMALL]
+    labels = [label for label in labels if label not in alike]
+    table = table[[label in labels for label in zip(table["option"], table["choice"])]]
     figure, axes = new_figure(height=0.75 + 0.2 * len(labels), columns=2, sharey=True)
     heights = {label: len(labels) - i for i, label in enumerate(labels)}
     for panel, angle in zip(axes, ("yaw", "pitch")):
@@ -55,7 +62,8 @@ def effects_figure(table: pd.DataFrame) -> Figure:
         panel.set_title(angle)
         panel.margins(y=0.03)
     axes[0].set_yticks(list(heights.values()), [_label(*row) for row in heights])
-    figure.supxlabel("NRMSE, ratio to that of the default choice", fontsize=8)
+    about = f"\n{len(alike)} other plants: median within {_SMALL - 1:.0%}" if alike else ""
+    figure.supxlabel(f"NRMSE, ratio to that of the default choice{about}", fontsize=8)
     return figure
 
 
