@@ -441,8 +441,8 @@ def test_mistakes_in_the_grid_are_named(recording, grid, options, words):
 def test_mistakes_in_the_data_are_named(recording, tmp_path):
     with pytest.raises(FileNotFoundError, match="nowhere.nc"):
         run("nowhere.nc", ONE)
-    with pytest.raises(ValueError, match="log.txt ends in '.txt'; recordings are"):
-        run("log.txt", ONE)
+    with pytest.raises(ValueError, match="log.docx ends in '.docx'; recordings are"):
+        run("log.docx", ONE)
     (tmp_path / "bad.nc").write_bytes(b"no recording")
     with pytest.raises(ValueError, match="bad.nc cannot be read as a recording"):
         run(tmp_path / "bad.nc", ONE)
