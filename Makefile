@@ -95,7 +95,7 @@ help: # this text
 
 setup: $(READY) ## maintain | 1 min | create .venv from environment.txt (the other targets do it by themselves)
 
-all: stages ## replicate | 12 min | everything: data, models, figures, further studies; prints the table
+all: stages ## replicate | 15 min | everything: data, models, figures, further studies; prints the table
 	@$(PY) -m tras.paper.pages table --figures $(FIGURES) $(if $(filter paper,$(PROFILE)),--check)
 
 stages: $(STAMPS) $(OUTPUTS)
