@@ -133,8 +133,7 @@ def run(study: Study, cases: list[dict], folder, *, processes: int = 2, progress
         ``computed, cached``: points whose fit was computed, or found in the cache.
     """
     code = cache.code_digest("tras.paper.grid")
-    names = [name for name in vars(study) if name not in ("train_seeds", "centre_draws")]  # a point has its own
-    about = cache.plain({name: getattr(study, name) for name in names})
+    about = _about(study)
     shared, executor = (study, Path(folder), code), {"progress": progress or False, "processes": processes}
     options = {"folder": folder, "code": code, **executor}
 
@@ -187,8 +186,7 @@ def transient(study: Study, cases: list[dict], skip: float, folder, *, processes
     if not 0 < skip or left < max(study.trajectory, study.window):
         raise ValueError(f"skip is {skip:g} s; give a part of the {study.duration:g} s that leaves a window.")
     code = cache.code_digest("tras.paper.grid")
-    names = [name for name in vars(study) if name not in ("train_seeds", "centre_draws")]
-    about = cache.plain({name: getattr(study, name) for name in names})
+    about = _about(study)
     options = {"processes": processes, "progress": progress or False, "folder": folder, "code": code}
     keys = [{**about, **point, "skip": skip} for point in cases]
     shared = (study, Path(folder), code, skip)
@@ -306,6 +304,13 @@ def judge_free_runs(point: dict, fields: list[dict], truths: list[dict]) -> list
 
 
 # --- what a process does of a run -------------------------------------------------------------------------------------
+
+
+def _about(study):
+    """What the results of every point depend on; training seed and draw are the point's own."""
+    return cache.plain(
+        {name: value for name, value in vars(study).items() if name not in ("train_seeds", "centre_draws")}
+    )
 
 
 def _simulated(study, folder, code, *choices):
