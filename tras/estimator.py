@@ -23,7 +23,7 @@ class Channels:
     """Names, units, sampling time and scale of each channel: its middle becomes 0, the ends of its range -1 and 1.
 
     ``delays`` earlier samples of the states count as states too (z, newest first), and those of the inputs if
-    ``delayed_inputs``.
+    ``delayed_inputs``. With ``lead`` 1 the input that acts from one sample to the next is the one recorded at the next.
     """
 
     dt: float
@@ -37,13 +37,19 @@ class Channels:
     u_scale: np.ndarray
     delays: int = 0
     delayed_inputs: bool = False
+    lead: int = 0
 
     def __post_init__(self):
         object.__setattr__(self, "delayed_inputs", bool(self.delayed_inputs and self.delays and self.input_names))
 
     @classmethod
     def of(
-        cls, recording: Recording, ranges: dict | None = None, delays: int = 0, delayed_inputs: bool = False
+        cls,
+        recording: Recording,
+        ranges: dict | None = None,
+        delays: int = 0,
+        delayed_inputs: bool = False,
+        lead: int = 0,
     ) -> "Channels":
         """Those of a recording, scaled by ``ranges`` (channel -> (lowest, highest)) or by its own.
 
@@ -57,7 +63,7 @@ class Channels:
         (x_offset, x_scale), (u_offset, u_scale) = _middle_and_half(ranges, names), _middle_and_half(ranges, inputs)
         units = tuple(recording.state_units), tuple(recording.input_units)
         labels = recording.dt, names, units[0], inputs, units[1]
-        return cls(*labels, x_offset, x_scale, u_offset, u_scale, delays, delayed_inputs)
+        return cls(*labels, x_offset, x_scale, u_offset, u_scale, delays, delayed_inputs, lead)
 
     @property
     def z_names(self) -> list[str]:
@@ -97,8 +103,12 @@ class Channels:
     def scaled(self, recording: Recording) -> Recording:
         """The recording in scaled channels, delayed samples among the states."""
         states = [(x - self.x_offset) / self.x_scale for x, _ in recording]
-        inputs = [(u - self.u_offset) / self.u_scale for _, u in recording]
+        inputs = [self.acting((u - self.u_offset) / self.u_scale) for _, u in recording]
         return Recording(states, inputs, recording.dt).delayed(self.delays, inputs=self.delayed_inputs)
+
+    def acting(self, inputs: np.ndarray) -> np.ndarray:
+        """The inputs (..., samples, m) that act from each sample on; nothing is known of the one after the last."""
+        return np.concatenate([inputs[..., 1:, :], inputs[..., -1:, :]], axis=-2) if self.lead else inputs
 
     def points(self, x, u=None) -> tuple[np.ndarray, np.ndarray]:
         """Scaled copies of z (..., n') and u (..., m) in physical units."""
@@ -145,6 +155,8 @@ class Estimator(BaseEstimator):
     def simulate(self, x0: ArrayLike, inputs: ArrayLike) -> np.ndarray:
         """Roll out from ``x0`` under ``inputs``, one sample of which acts from its own instant to the next.
 
+        With ``lead=1`` it acts from the instant before it to its own.
+
         Parameters
         ----------
         x0 : (..., n) array_like
@@ -183,6 +195,7 @@ class Estimator(BaseEstimator):
         runs, samples = math.prod(batch), inputs.shape[-2]
         x = np.broadcast_to((x0 - self.x_offset_) / self.x_scale_, (*batch, d + 1, n)).reshape(runs, d + 1, n)
         u = np.broadcast_to((inputs - self.u_offset_) / self.u_scale_, (*batch, samples, m)).reshape(runs, samples, m)
+        u = self.channels_.acting(u)
         with np.errstate(over="ignore", invalid="ignore"):  # a prediction that runs away is NaN, without a warning
             result = self._simulate_scaled(x, u) * self.x_scale_ + self.x_offset_
         result[:, : d + 1] = np.broadcast_to(x0, (*batch, d + 1, n)).reshape(runs, d + 1, n)

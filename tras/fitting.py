@@ -58,7 +58,7 @@ class Fit:
         if recording.pairs == 0:
             raise ValueError("no trajectory has two samples, so there are no snapshot pairs; record more.")
         new, predictor = cls(), PREDICTORS[options.predictor]
-        new.channels = Channels.of(recording, ranges, options.delays, predictor.delays_inputs)
+        new.channels = Channels.of(recording, ranges, options.delays, predictor.delays_inputs, options.lead)
         x, u = (np.concatenate(part) for part in zip(*new.channels.scaled(recording)))
         new.lifts_inputs, new.rows = predictor.lifts_inputs, predictor.rows(options.columns)
         new.dictionary = clone(options.dictionary).fit(x, u if new.lifts_inputs else None)

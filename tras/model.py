@@ -32,6 +32,7 @@ OPTIONS = {
     "regularization": (*METHODS, None),
     "extrapolation": ("linear", "functions"),
     "columns": ("all", "states"),
+    "lead": (0, 1),
 }
 # What a model is fitted to: a recording or several, or what `tras.large.streaming` reads piece by piece.
 Source = Recording | RecordingFile | str | Path | Iterable | Callable[[], Iterable]
@@ -81,6 +82,9 @@ class KoopmanModel(Estimator):
     columns : {"all", "states"}
         With ``one_step``: ``"states"`` fits the states' columns of K alone, at half the cost; its predictions need no
         others, but eigenvalues do.
+    lead : {0, 1}
+        Which recorded input acts from one sample to the next: that of the first of the two (0, a zero-order hold), or
+        that of the second (1), as in recordings whose input was measured, filtered or stamped at the end of a sample.
 
     Attributes
     ----------
@@ -136,6 +140,7 @@ class KoopmanModel(Estimator):
         extrapolation: str = "linear",
         stable: float | bool = False,
         columns: str = "all",
+        lead: int = 0,
     ):
         self.dictionary = dictionary
         self.predictor = predictor
@@ -146,6 +151,7 @@ class KoopmanModel(Estimator):
         self.extrapolation = extrapolation
         self.stable = stable
         self.columns = columns
+        self.lead = lead
 
     def fit(self, recording: Source, y: None = None, **streamed) -> "KoopmanModel":
         """Identify from a `Recording`, or a sequence of recordings with the same channels.

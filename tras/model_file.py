@@ -106,7 +106,9 @@ def _restored(header, arrays):
         raise ValueError(f"it lacks {sorted(needed - set(arrays))[0]!r}")
     scales = {key: attributes.pop(f"{key}_") for key in _SCALES}
     labels, delayed_inputs = {key: header[key] for key in _LABELS}, PREDICTORS[parameters["predictor"]].delays_inputs
-    channels = Channels(**labels, **scales, delays=parameters["delays"], delayed_inputs=delayed_inputs)
+    channels = Channels(
+        **labels, **scales, delays=parameters["delays"], delayed_inputs=delayed_inputs, lead=parameters.get("lead", 0)
+    )
     return parameters, dictionary, channels, attributes
 
 

@@ -88,6 +88,10 @@ def origin(model, path, name):
         f"states: {', '.join(channels[:n])}",
         f"inputs: {', '.join(channels[n:]) or 'none'}",
     ]
+    if model.channels_.lead:
+        lines.append(
+            "u is the input at the end of a sample: of the instant that is predicted, not of the one before it."
+        )
     if path.stem != name:
         lines.append(f"Functions are called {name}_..., because {path.stem!r} is no name in the language.")
     return [" ".join(line.split()) for line in lines]

@@ -117,6 +117,7 @@ def _arrays(model, notes):
     """What the .mat file holds, vectors as columns."""
     values = {
         "origin": cell(notes), "predictor": model.predictor, "dt": float(model.dt_), "delays": float(model.delays),
+        "lead": float(model.channels_.lead),
         "K": model.koopman_matrix, "x_offset": model.x_offset_, "x_scale": model.x_scale_,
         "z_scale": model.channels_.z_scale, "z_offset": model.channels_.z_offset, "u_offset": model.u_offset_[:, None],
         "u_scale": model.u_scale_[:, None], "functions": cell(model.names_), "dictionary": _struct(model.dictionary_),

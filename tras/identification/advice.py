@@ -10,7 +10,7 @@ import numpy as np
 from tras.display.html import in_notebook
 from tras.identification.checks import beyond
 from tras.identification.noise import noise_level
-from tras.identification.scores import CONSTANT
+from tras.identification.scores import CONSTANT, HELD
 from tras.workflow import page
 from tras.workflow.arguments import short
 
@@ -63,45 +63,109 @@ def of(identification, log) -> AdviceList:
 
 
 def verdict(identification) -> str:
-    """One sentence: how well the model predicts the test, and whether that is better than a linear one."""
-    test, dictionary = identification.test, identification.model.dictionary
-    table = identification.metrics.set_index(["prediction", "state"])["nrmse"]
-    ours, linear = table["model"].to_numpy(), table["linear model"].to_numpy()
-    horizon = float((test.lengths.max() - 1) * test.dt)
-    if not np.isfinite(ours).any():
+    """How well the model predicts the test, started from measured samples, and whether something simpler is better."""
+    table = identification.metrics.set_index(["prediction", "state"])
+    of_model = table.loc["model"]
+    horizon, longest = (float(of_model[column].iloc[0]) for column in ("horizon", "free_horizon"))
+    if not np.isfinite(of_model["nrmse"]).any():
         return f"The model is of no use: every test prediction over {horizon:.3g} s ran away."
-    size = f"{ours[0]:.2g} % of the range"
-    if len(ours) > 1:
-        worst = test.state_names[int(np.nanargmax(ours))]
-        size = f"{np.nanmin(ours):.2g} % to {np.nanmax(ours):.2g} % of the ranges, most in {worst}"
-    ratio = float(np.exp(np.nanmean(np.log(np.maximum(ours, 1e-12) / np.maximum(linear, 1e-12)))))
-    if dictionary.__class__.__name__ == "Monomials" and dictionary.degree == 1:
-        comparison = "No nonlinear model was better than a linear one"
-    elif not math.isfinite(ratio):
-        comparison = "The linear model ran away"
-    elif ratio > 0.9:
-        comparison = "A linear model is about as good"
-    else:
-        comparison = f"The error of a linear model is {1 / ratio:.3g} times as large"
-    return f"Over {horizon:.3g} s the model misses the test data by {size}, root mean square. {comparison}."
+    moving = of_model["moves"].to_numpy(dtype=bool)
+    if not moving.any():
+        return (
+            f"The test says nothing: no state moves in it. At rest the model stays within "
+            f"{of_model['nrmse'].max():.2g} % of the ranges."
+        )
+    of_model = of_model[moving]
+    parts = [f"Over {horizon:.3g} s the model misses the test data by {_range_of(of_model['nrmse'])}, root mean square"]
+    if not np.isfinite(of_model["free"]).all():
+        parts.append(f"a free run over the whole test ({longest:.3g} s) runs away")
+    elif longest > 1.2 * horizon:
+        parts.append(f"in a free run over the whole test ({longest:.3g} s) by {_range_of(of_model['free'])}")
+    if lost := int(of_model["diverged"].iloc[0]):
+        parts.append(f"{lost} of {int(of_model['windows'].iloc[0])} predictions ran away")
+    return f"{'; '.join(parts)}. {_comparison(table, moving, identification.model.dictionary)}."
+
+
+def _range_of(errors):
+    worst = errors.index[int(np.nanargmax(errors))]
+    if len(errors) == 1:
+        return f"{errors.iloc[0]:.2g} % of the range"
+    return f"{np.nanmin(errors):.2g} % to {np.nanmax(errors):.2g} % of the ranges, most in {worst}"
+
+
+def error_of(table, prediction, moving=None) -> float:
+    """The error of one prediction in a number: the geometric mean over states, windows and free runs, in %.
+
+    The mean over windows alone where the model's free run, or this one's, ran away.
+    """
+    rows = table.loc[prediction] if moving is None else table.loc[prediction][moving]
+    columns = ["nrmse", "free"] if np.isfinite(table.loc["model"]["free"]).all() else ["nrmse"]
+    return float(np.exp(np.nanmean(np.log(np.maximum(rows[columns].to_numpy(dtype=float), 1e-12)))))
+
+
+def _comparison(table, moving, dictionary):
+    """The model beside the linear one and the trivial ones, in both directions."""
+    ours = error_of(table, "model", moving)
+    trivial = {name: error_of(table, name, moving) for name in (HELD, CONSTANT)}
+    better = min(trivial, key=trivial.__getitem__)
+    if trivial[better] < ours:
+        what = "that nothing changes" if better == HELD else "the mean of the training data"
+        return f"Do not use it: to predict {what} is better (its error is {trivial[better] / ours:.2g} times as large)"
+    if is_linear(dictionary):
+        return "The model is linear; no nonlinear one was better"
+    lost = {name: table.loc[name, "diverged"].iloc[0] for name in ("model", "linear model")}
+    if lost["model"] > lost["linear model"]:
+        return "A linear model ran away less often"
+    ratio = error_of(table, "linear model", moving) / ours
+    if lost["linear model"] > lost["model"] or not math.isfinite(ratio):
+        return "The linear model ran away" + (" more often" if lost["model"] else "")
+    if ratio < 1 / 1.05:
+        return f"A linear model is better: its error is {ratio:.2g} times as large"
+    if ratio < 1.1:
+        return "A linear model is about as good"
+    return f"The error of a linear model is {ratio:.3g} times as large"
+
+
+def is_linear(dictionary) -> bool:
+    """Whether a model with this dictionary is linear."""
+    return type(dictionary).__name__ == "Monomials" and dictionary.degree == 1
 
 
 def _verdict(identification):
     table = identification.metrics.set_index(["prediction", "state"])
     for state in identification.test.state_names:
-        error, constant = table.loc[("model", state), "nrmse"], table.loc[(CONSTANT, state), "nrmse"]
-        if not error < 0.95 * constant:
+        error = table.loc[("model", state), "nrmse"]
+        if not table.loc[("model", state), "moves"]:
+            yield warning(
+                f"the test says nothing of {state}",
+                f"{state} hardly moves in the test (its range there is less than 5 % of that in the training data). "
+                "Record longer, or name other trials as the test (TEST=...).",
+            )
+            continue
+        trivial = {name: table.loc[(name, state), "nrmse"] for name in (CONSTANT, HELD)}
+        better = min(trivial, key=trivial.__getitem__)
+        if not error < 0.95 * trivial[better]:
+            missed = f"is missed by {error:.3g} % of its range" if np.isfinite(error) else "is lost"
+            what = "its mean alone" if better == CONSTANT else "to say that it stays where it is"
             yield stop(
                 f"{state} is not predicted",
-                f"Over the test windows {state} is missed by {error:.3g} % of its range; its mean alone misses it by "
-                f"{constant:.3g} %. Do not use the model for it; if nothing here can move it, leave it out "
-                "(STATES=...), for it disturbs the choice of the model for the others.",
+                f"Over the test windows {state} {missed}; {what} misses it by {trivial[better]:.3g} %. Do not use the "
+                "model for it; if nothing here can move it, leave it out (STATES=...), for it disturbs the choice of "
+                "the model for the others.",
             )
-    diverged, windows = (table.loc["model"][column].iloc[0] for column in ("diverged", "windows"))
+    diverged, windows = (int(table.loc["model"][column].iloc[0]) for column in ("diverged", "windows"))
     if diverged:
         kind = stop if diverged > 0.1 * windows else warning
-        text = f"{diverged} of {windows} test predictions ran away; they are left out of the errors."
+        text = f"{diverged} of {windows} test predictions ran away; they are left out of the errors of all models."
         yield kind("predictions ran away", text)
+    # Half-ranges against percent of a range.
+    search, test = 50 * identification.remarks["error"], error_of(table, "model")
+    if search > 0 and np.isfinite(test) and test > 3 * search and test > 1:
+        yield warning(
+            "worse in the test than in the search",
+            f"The error in the test is {test / search:.2g} times that by which the model was chosen: the test holds "
+            "motions that the training data do not, or the choice was luck.",
+        )
 
 
 def _data(identification, log):
@@ -229,9 +293,14 @@ def _model(identification):
         level = noise_level(recording) / np.ptp(np.concatenate([x for x, _ in recording]), axis=0)
         yield note(
             "smoothed states",
-            "The states were smoothed before the fit, and test predictions start from smoothed states (noise "
-            f"{100 * level.max():.2g} % of the range at most). The table also has predictions that start from states "
-            "as measured.",
+            f"The states were smoothed before the fit (noise {100 * level.max():.2g} % of the range at most); test "
+            "predictions start from states as measured.",
+        )
+    if model.lead:
+        yield note(
+            "inputs of the same instant",
+            "A state depends on the input recorded at the same instant (lead=1): simulate, the exports and a "
+            "controller take the input at the END of a sample.",
         )
     if model.condition_number > 1e10:
         yield warning(

@@ -1,7 +1,6 @@
 """From a recording of a rig to a model and an honest verdict, in one call."""
 
 from collections.abc import Sequence
-from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -14,7 +13,7 @@ from tras.identification.advice import AdviceList, verdict
 from tras.identification.bootstrap import bootstrap, prediction_band
 from tras.identification.checks import Checks, check
 from tras.identification.scores import compare, growth, typical_and_worst
-from tras.identification.search import search, without_first
+from tras.identification.search import CLOSE, best, search, without_first
 from tras.model import KoopmanModel
 from tras.recording import Recording, join
 from tras.solver.threads import one_blas_thread
@@ -33,12 +32,14 @@ class Identification(NamedTuple):
     """The result of `identify`: a notebook shows its verdict, what to mind and the test."""
 
     recording: Recording  # as used: without idle channels
-    train: Recording  # the pieces that the model was fitted to
-    test: Recording  # windows as measured
+    train: Recording  # what the tested model was fitted to
+    test: Recording  # windows, as measured
+    whole_test: Recording  # uncut, for the free run
     checks: Checks
     search: pd.DataFrame  # every candidate
-    model: KoopmanModel
-    linear: KoopmanModel
+    model: KoopmanModel  # the one that was tested
+    linear: KoopmanModel  # the best linear one, tested beside it
+    delivered: KoopmanModel  # as the tested one, fitted to all of the recording: for use
     metrics: pd.DataFrame
     growth: pd.DataFrame
     overlay: pd.DataFrame
@@ -67,9 +68,13 @@ class Identification(NamedTuple):
 
 def identify(
     recording: Recording, *, predictor: str | None = None, delays: Sequence[int] | None = None,
-    smoothing: bool | None = None, draws: int = 30, seed: int = 0,
+    smoothing: bool | None = None, lead: int | None = None, horizon: float | None = None, draws: int = 30,
+    seed: int = 0,
 ) -> Identification:  # fmt: skip
-    """Check, cut, search, fit, test: a model of a recording of which nothing else is known.
+    """Check, search, fit, test: a model of a recording of which nothing else is known.
+
+    A fifth of the recording is the test. Candidates, linear ones among them, are fitted to whole trajectories of the
+    rest, less what is held out to choose by. All predictions start from samples measured up to that instant.
 
     Parameters
     ----------
@@ -81,6 +86,12 @@ def identify(
         The only numbers of delays to try.
     smoothing : bool, optional
         Whether states are smoothed before the fit. Default: both are tried if the states are noisy.
+    lead : {0, 1}, optional
+        The only timing of the inputs to try (`KoopmanModel`). Default: as the recording says (``intersample``), or
+        both.
+    horizon : float, optional
+        How far ahead the model is to predict, in s: the length of the windows that it is chosen and tested on. Default:
+        five times what the states remember.
     draws : int
         Members of the bootstrap behind the band, 0 for none.
     seed : int
@@ -104,69 +115,85 @@ def identify(
     Mechanical(degree=3, positions=[0], shape=[0], velocities=[1])
     """
     with one_blas_thread():  # small matrices: threads wait for each other; and the same bits everywhere
-        return _identify(join(recording), predictor, delays, smoothing, draws, seed)
+        return _identify(join(recording), predictor, delays, smoothing, lead, horizon, draws, seed)
 
 
-def _identify(log, predictor, delays, smoothing, draws, seed):
+def _identify(log, predictor, delays, smoothing, lead, horizon, draws, seed):
     recording, idle_remarks = preparation.without_idle_channels(log)
     train_log, test_log, partition_remark = preparation.partition(recording)
     lag = preparation.memory(train_log)
-    samples, length_remark = preparation.piece_length(train_log, lag)
+    samples, length_remark = preparation.window_length(train_log, lag, horizon)
     pairs = preparation.velocity_pairs(train_log, lag)
     pair_remarks = [f"the velocity of {position} is {velocity}, by their numbers" for position, velocity in pairs]
     training = preparation.Treatments(train_log, pairs, FITTED)
-    testing = preparation.Treatments(test_log, pairs, 2 * TESTED)
-    table, search_remarks = search(training, samples, predictor=predictor, delays=delays, smoothing=smoothing)
+    table, search_remarks = search(
+        training, samples, predictor=predictor, delays=delays, smoothing=smoothing, lead=lead
+    )
     latest = int(table["delays"].max())
-    pieces = partial(training.pieces, samples=samples, fewest=latest + 5)
-    windows = partial(testing.pieces, samples=samples, fewest=latest + 5, most=TESTED)
-    truth = windows("as measured")
-    if truth.lengths.min() <= latest + 1:
+    if test_log.lengths.max() <= latest + 5:
         raise ValueError(
-            f"the trajectories kept for the test have {int(truth.lengths.max())} samples, too few for {latest} delays: "
-            "record longer, or try fewer delays."
+            f"the trajectories kept for the test have {int(test_log.lengths.max())} samples, too few for {latest} "
+            "delays: record longer, or try fewer delays."
         )
+    test_log = test_log[test_log.lengths > latest + 5]
+    windows = preparation.windows(test_log, samples, latest, TESTED)
 
-    row, model = _fitted(table, pieces)
-    linear_row, linear = _fitted(table[table["dictionary"] == "Monomials(degree=1)"], pieces)
+    row, model = _fitted(table, training)
+    _, linear = _fitted(table[table["dictionary"] == "Monomials(degree=1)"], training)
     table["chosen"] = table.index == row.name
-    train, starts = pieces(row["states"]), windows(row["states"])
-    models = {CHOSEN: (model, starts), LINEAR: (linear, windows(linear_row["states"]))}
-    if row["states"] == "smoothed":
-        models["model, started as measured"] = (model, truth)
-    metrics, runs = compare(models, truth, train, latest)
+    train = training.whole(row["states"])
+    metrics, runs = compare({CHOSEN: model, LINEAR: linear}, windows, test_log, train, latest)
+    delivered = _refitted(model, preparation.Treatments(recording, pairs, FITTED).whole(row["states"]))
     ensemble, no_band = [], "" if draws else "no band was asked for"
     if draws:
+        pieces = train.cut_all(max(samples, 4 * (latest + 2)))
+        pieces = preparation.thinned(pieces[pieces.lengths > latest + 2], _DRAWN)
         try:
-            ensemble = bootstrap(model, preparation.thinned(train, _DRAWN), draws, seed)
+            ensemble = bootstrap(model, pieces, draws, seed)
         except ValueError as error:
             no_band = str(error)
     remarks = {"idle": idle_remarks, "partition": [partition_remark, length_remark], "pairs": pair_remarks}
-    remarks |= {"search": search_remarks, "treatment": row["states"], "band": no_band}
+    remarks |= {"search": search_remarks, "treatment": row["states"], "band": no_band, "error": row["windows"]}
     identification = Identification(
-        recording, train, truth, check(recording, max(1, lag // 4)), table, model, linear, metrics,
-        growth(runs, truth, latest), _overlay(runs, truth, starts, model, ensemble, latest),
+        recording, train, windows, test_log, check(recording, max(1, lag // 4)), table.drop(columns="squares"), model,
+        linear, delivered, metrics, growth(runs, windows, latest), _overlay(runs, windows, model, ensemble, latest),
         _eigenvalues(model, linear), pairs, ensemble, remarks, AdviceList(),
     )  # fmt: skip
     return identification._replace(advice=advice.of(identification, log))
 
 
-def _fitted(table, pieces):
-    """The chosen candidate, or the best of these, fitted to all pieces; the next one if that cannot be fitted."""
-    order = table[np.isfinite(table["error"])].sort_values(["chosen", "error"], ascending=[False, True], kind="stable")
+def _fitted(table, training):
+    """The chosen candidate, or the best of these, fitted to whole trajectories; the next one if that cannot be."""
+    table = table[np.isfinite(table["error"])].copy()
+    if "chosen" not in table or not table["chosen"].any():
+        table["chosen"] = table.index == best(table, CLOSE).name
+    order = table.sort_values(["chosen", "error"], ascending=[False, True], kind="stable")
     reason = None
     for _, row in order.iterrows():
         try:
-            return row, clone(row["model"]).fit(pieces(row["states"]))
+            model = clone(row["model"]).fit(training.whole(row["states"]))  # chooses the strength for so many pairs
+            return row, _refitted(model, training.whole(row["states"]))
         except ValueError as error:
             reason = error
     raise ValueError(f"no candidate could be fitted to all of the training data{f': {reason}' if reason else ''}")
 
 
-def _overlay(runs, truth, starts, model, ensemble, latest):
+def _refitted(model, recording):
+    """The same model, with the strength that it chose, fitted to trajectories that no choice has cut.
+
+    It stays as it is where the new data do not allow that.
+    """
+    recording = recording[recording.lengths > model.delays + 1]
+    try:
+        return clone(model).set_params(strength=float(model.strength_)).fit(recording)
+    except ValueError:
+        return model
+
+
+def _overlay(runs, truth, model, ensemble, latest):
     """Two windows: ``window`` ("typical", "worst"), ``time``, ``STATE: true, model, linear model, lower, upper``."""
     windows, tables = typical_and_worst(runs[CHOSEN], truth, latest), []
-    late = without_first(starts[list(windows)], latest - model.delays)
+    late = without_first(truth[list(windows)], latest - model.delays)
     band = prediction_band(ensemble, late) if ensemble else [np.full((2, len(late.states[0]), truth.n), np.nan)] * 3
     for j, (name, k) in enumerate(zip(("typical", "worst"), windows)):
         true, (lower, _, upper) = truth.states[k][latest:], [edge[j][model.delays :] for edge in band]

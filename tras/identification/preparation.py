@@ -8,10 +8,12 @@ import numpy as np
 from tras.identification.noise import noise_level
 from tras.identification.smoothing import smooth
 from tras.recording import Recording, join
+from tras.workflow import arguments
 
 LONGEST, SHORTEST = 501, 26  # samples of a piece, both ends included
 _FEWEST_TRIALS = 5  # from which on whole trials are held back for the test
 _CHUNK = 2001  # samples that are smoothed at once
+_MOVES = 0.2  # standard deviation of a state in the test over that in the whole recording, at least, if it can be had
 _FINE = 2e-4  # noise, as a fraction of the range, that is not worth smoothing away
 
 
@@ -71,22 +73,85 @@ def partition(recording: Recording) -> tuple[Recording, Recording, str]:
         of_test = np.arange(trials) % 5 == 2
         remark = f"{of_test.sum()} of {trials} trajectories are kept for the test, every fifth one"
         return recording[~of_test], recording[of_test], remark
-    train, test, short = [], [], []
+    train, test, which = [], [], None
     for x, u in recording:
-        end = 4 * (len(x) - 1) // 5
-        if len(x) - end < 10:
-            short.append((x, u))
-        else:
-            train.append((x[: end + 1], u[: end + 1]))
-            test.append((x[end:], u[end:]))
+        edges = np.linspace(0, len(x) - 1, 6).astype(int)
+        if len(x) - edges[4] < 10:
+            train.append((x, u))
+            continue
+        which = _moving_fifth(recording, edges) if trials == 1 else 4
+        start, end = edges[which], edges[which + 1]
+        test.append((x[start : end + 1], u[start : end + 1]))
+        rests = slice(0, start + 1), slice(end, len(x))
+        train += [(x[rest], u[rest]) for rest in rests if len(x[rest]) > 1]
     if not test:
         raise ValueError(
             f"the recording has {int(recording.lengths.sum())} samples in {trials} trajectories; to learn from four "
             "fifths and test on one it needs 50 in one trajectory, or five trajectories: record more."
         )
-    train, test = (recording.with_data(*map(list, zip(*part))) for part in (train + short, test))
+    train, test = (recording.with_data(*map(list, zip(*part))) for part in (train, test))
     whole = "the recording" if trials == 1 else "each trajectory"
-    return train, test, f"the last fifth of {whole} is kept for the test"
+    if which == 4:
+        return train, test, f"the last fifth of {whole} is kept for the test"
+    where = f"{edges[which] * recording.dt:.4g} s to {edges[which + 1] * recording.dt:.4g} s"
+    return train, test, f"{where} is kept for the test, the latest fifth in which the states move"
+
+
+def _moving_fifth(recording, edges):
+    """The latest fifth of one trajectory in which every state moves, and without which it still does; else the last."""
+    x = recording.states[0]
+    whole = x.std(axis=0)
+    for k in range(4, 0, -1):
+        test, rest = x[edges[k] : edges[k + 1] + 1], np.delete(x, slice(edges[k], edges[k + 1] + 1), axis=0)
+        if (test.std(axis=0) >= _MOVES * whole).all() and (rest.std(axis=0) >= 0.5 * whole).all():
+            return k
+    return 4
+
+
+def held_out(lengths: np.ndarray, fewest: int) -> tuple[list, list]:
+    """Stretches (trajectory, first, last sample) to learn from, and those to judge a choice by; each pair is in one.
+
+    Of five trajectories or more, every fifth one is to judge by. Otherwise it is the third and the eighth tenth of each
+    trajectory, or the third fifth where a tenth has fewer than ``fewest`` samples.
+    """
+    learn, judge = [], []
+    for i, length in enumerate(map(int, lengths)):
+        if len(lengths) >= _FEWEST_TRIALS:
+            (judge if i % 5 == 4 and length >= fewest else learn).append((i, 0, length - 1))
+            continue
+        parts, of_judge = (10, (2, 7)) if (length - 1) // 10 >= fewest else (5, (2,))
+        if (length - 1) // parts < fewest - 1:
+            learn.append((i, 0, length - 1))
+            continue
+        edges, start = np.linspace(0, length - 1, parts + 1).astype(int), 0
+        for k in of_judge:
+            learn.append((i, start, int(edges[k])))
+            judge.append((i, int(edges[k]), int(edges[k + 1])))
+            start = int(edges[k + 1])
+        learn.append((i, start, length - 1))
+    return learn, judge
+
+
+def stretches(recording: Recording, spans: list) -> Recording:
+    """The stretches of a recording that `held_out` names, those of one sample left out."""
+    trajectories = list(recording)
+    parts = [(trajectories[i][0][a : b + 1], trajectories[i][1][a : b + 1]) for i, a, b in spans if b > a]
+    return recording.with_data(*map(list, zip(*parts)))
+
+
+def windows(recording: Recording, samples: int, latest: int, most: float = np.inf) -> Recording:
+    """Windows of ``samples`` samples, each with the ``latest`` samples before it, which start a prediction.
+
+    The windows without these follow each other. Shorter rests are left out; ``samples`` is the length of the longest
+    trajectory without its start where that is less.
+    """
+    samples = min(samples, int(recording.lengths.max()) - latest)
+    parts = [
+        (x[k : k + latest + samples], u[k : k + latest + samples])
+        for x, u in recording
+        for k in range(0, len(x) - latest - samples + 1, max(1, samples - 1))
+    ]
+    return thinned(recording.with_data(*map(list, zip(*parts))), most)
 
 
 def memory(recording: Recording) -> int:
@@ -105,22 +170,25 @@ def memory(recording: Recording) -> int:
     return slowest
 
 
-def piece_length(recording: Recording, lag: int) -> tuple[int, str]:
-    """The samples of a piece, and the sentence that says why.
+def window_length(recording: Recording, lag: int, horizon: float | None = None) -> tuple[int, str]:
+    """The samples of a window that predictions are judged on, and the sentence that says why.
 
-    Five times the states' `memory`, so that a piece shows the system forgetting where it began; between 26 and 501
-    samples, and short enough for thirty pieces if each still has 26 samples.
+    The ``horizon`` in s, or five times the states' `memory`, so that a window shows the system forgetting where it
+    began; between 26 and 501 samples, and short enough for thirty windows if each still has 26 samples.
     """
+    if horizon is not None:
+        samples = int(round(arguments.number("horizon", horizon, 0, ends=False) / recording.dt)) + 1
+        return max(2, samples), f"windows are {max(1, samples - 1) * recording.dt:.3g} s long, as the horizon says"
     steps = int(np.clip(5 * lag, SHORTEST - 1, LONGEST - 1))
     longest, most = int(recording.lengths.max()), max(recording.pairs // 30, SHORTEST - 1)
     samples = min(steps, most, longest - 1) + 1
     if samples - 1 < steps:
-        why = "so that there are thirty pieces" if most < longest else "the longest trajectory"
+        why = "so that there are thirty" if most < longest else "the longest trajectory"
     elif steps in (SHORTEST - 1, LONGEST - 1):
         why = f"the {'longest' if steps == LONGEST - 1 else 'shortest'} that is taken"
     else:
         why = f"five times the {lag * recording.dt:.3g} s within which the states forget themselves"
-    return samples, f"pieces have {samples} samples ({(samples - 1) * recording.dt:.3g} s; {why})"
+    return samples, f"windows have {samples} samples ({(samples - 1) * recording.dt:.3g} s; {why})"
 
 
 def velocity_pairs(recording: Recording, lag: int) -> list[tuple[str, str]]:
@@ -152,7 +220,7 @@ def velocity_pairs(recording: Recording, lag: int) -> list[tuple[str, str]]:
 
 
 class Treatments:
-    """Chunks of a recording "as measured" and "smoothed", made once, when they are first used.
+    """A recording "as measured" and "smoothed", whole trajectories of it, made once, when they are first used.
 
     Parameters
     ----------
@@ -161,26 +229,23 @@ class Treatments:
     pairs : list of (str, str)
         Names of positions and their velocities, for the smoother.
     most : int
-        Snapshot pairs, about; of a longer recording some chunks are taken, spread evenly.
+        Snapshot pairs, about; of a longer recording stretches of 2001 samples are taken, spread evenly.
     """
 
     def __init__(self, recording: Recording, pairs: list[tuple[str, str]], most: int):
         self.recording, self.pairs = recording, pairs
-        self._chunks = {"as measured": thinned(recording.cut_all(_CHUNK), most)}
+        used = recording if recording.pairs <= most else thinned(recording.cut_all(_CHUNK), most)
+        self._treated = {"as measured": used}
 
     def at_most(self, most: int) -> "Treatments":
-        """These treatments, or new ones of fewer chunks."""
-        return self if self._chunks["as measured"].pairs <= most else Treatments(self.recording, self.pairs, most)
+        """These treatments, or new ones of fewer pairs."""
+        return self if self.whole("as measured").pairs <= most else Treatments(self.recording, self.pairs, most)
 
-    def pieces(self, name: str, samples: int, fewest: int, most: float = np.inf) -> Recording:
-        """Pieces under one treatment, `thinned`: the same ones under each treatment.
-
-        Rests and trajectories of fewer than ``fewest`` samples are left out, if there are others.
-        """
-        if name not in self._chunks:
-            self._chunks[name] = smoothed(self._chunks["as measured"], self.pairs)
-        pieces = self._chunks[name].cut_all(samples)
-        return thinned(pieces[pieces.lengths >= min(fewest, int(pieces.lengths.max()))], most)
+    def whole(self, name: str) -> Recording:
+        """All trajectories under one treatment."""
+        if name not in self._treated:
+            self._treated[name] = smoothed(self._treated["as measured"], self.pairs)
+        return self._treated[name]
 
 
 def thinned(pieces: Recording, most: float) -> Recording:

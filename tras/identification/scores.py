@@ -9,19 +9,21 @@ from tras.recording import Recording
 
 CONSTANT, HELD = "mean of the training data", "stays where it is"
 _ONE_STEP = 20_000  # predictions over one sample, at most
+_STILL = 0.05  # range of a state in the test over that in training below which the test says nothing of it
 
 
-def compare(models: dict, truth: Recording, train: Recording, latest: int) -> tuple[pd.DataFrame, dict]:
-    """Metrics of every state over windows, one row per state and prediction.
+def compare(
+    models: dict, windows: Recording, whole: Recording, train: Recording, latest: int
+) -> tuple[pd.DataFrame, dict]:
+    """Metrics of every state over windows and free runs, one row per state and prediction.
 
     Parameters
     ----------
-    models : dict of str to (KoopmanModel, Recording)
-        With what each starts from: windows as ``truth``, treated as the model wants them.
-    truth : Recording
-        Windows as measured.
+    models : dict of str to KoopmanModel
+    windows, whole : Recording
+        Windows of the test and the whole test, as measured: all predictions start from these.
     train : Recording
-        For its mean.
+        For its mean, and its range where a state does not move in the test.
     latest : int
         The sample that all predictions begin at.
 
@@ -29,21 +31,37 @@ def compare(models: dict, truth: Recording, train: Recording, latest: int) -> tu
     -------
     table : pandas.DataFrame
         ``state, prediction, one_step`` (NRMSE over one sample, %), ``nrmse, bfr`` (%), ``enr`` (fraction), ``windows,
-        diverged``. Windows and single steps that diverged are left out of the metrics; NaN where a state does not move.
+        diverged`` over the windows, ``free, free_bfr`` (NRMSE and BFR in %) over free runs of the whole test, ``moves``
+        (whether the state does, in the test), ``horizon, free_horizon`` (s). The metrics are over the windows in which no model ran away, the same
+        ones for all; a free run that diverged has an infinite error. NaN where a state does not move.
     runs : dict of str to list of (samples_i, n)
-        The predictions.
+        The predictions over the windows.
     """
-    true = [x[latest:] for x, _ in truth]
-    mean = np.concatenate([x for x, _ in train]).mean(axis=0)
-    runs = {name: roll_outs(model, starts, latest) for name, (model, starts) in models.items()}
-    runs[HELD] = [np.repeat(x[:1], len(x), axis=0) for x in true]
-    runs[CONSTANT] = [np.repeat(mean[None], len(x), axis=0) for x in true]
+    true, full = [x[latest:] for x, _ in windows], [x[latest:] for x, _ in whole]
+    past = np.concatenate([x for x, _ in train])
+    span, usual = np.ptp(np.concatenate(full), axis=0), np.ptp(past, axis=0)
+    moves = span > _STILL * usual
+    span = np.where(moves, span, usual)
+    longest = lambda trajectories: (max(map(len, trajectories)) - 1) * windows.dt
+    runs, free = ({name: roll_outs(model, part, latest) for name, model in models.items()} for part in (windows, whole))
+    for into, truth in ((runs, true), (free, full)):
+        into[HELD] = [np.repeat(x[:1], len(x), axis=0) for x in truth]
+        into[CONSTANT] = [np.repeat(past.mean(axis=0)[None], len(x), axis=0) for x in truth]
+    lost = {name: metrics.diverged(true, runs[name], span=span) for name in models}
+    common = [k for k in range(len(true)) if not any(gone[k] for gone in lost.values())]
     parts = []
     for name, run in runs.items():
-        scores = metrics.judge(true, run)
-        one_step = _one_step(*models[name], truth) if name in models else np.nan
-        values = {name: getattr(scores, name) for name in ("nrmse", "bfr", "enr", "windows", "diverged")}
-        parts.append(pd.DataFrame({"state": truth.state_names, "prediction": name, "one_step": one_step, **values}))
+        # Where no window is left to all, each model is judged on those that it has.
+        judged = common or [k for k in range(len(true)) if name not in lost or not lost[name][k]] or [0]
+        scores = metrics.judge([true[k] for k in judged], [run[k] for k in judged], span=span)
+        long = metrics.judge(full, free[name], span=span)
+        one_step = _one_step(models[name], windows, span) if name in models else np.nan
+        values = {key: getattr(scores, key) for key in ("nrmse", "bfr", "enr")}
+        values |= {"windows": len(true), "diverged": int(lost[name].sum()) if name in lost else 0}
+        gone = long.diverged == long.windows or name in models and long.diverged
+        values |= {"free": np.inf if gone else long.nrmse, "free_bfr": 0.0 if gone else long.bfr, "moves": moves}
+        values |= {"horizon": longest(true), "free_horizon": longest(full)}
+        parts.append(pd.DataFrame({"state": windows.state_names, "prediction": name, "one_step": one_step, **values}))
     return pd.concat(parts, ignore_index=True), runs
 
 
@@ -79,15 +97,14 @@ def _full(truth, latest):
     return true, full, metrics.divisor(np.ptp(np.concatenate(true), axis=0))
 
 
-def _one_step(model, starts, truth):
+def _one_step(model, windows, span):
     """NRMSE (%) of predictions over one sample."""
     count = model.delays + 2
     parts = []
-    for (s, u), (x, _) in zip(starts, truth):
-        ends = range(count, len(s) + 1, count - 1)
-        parts += [(s[end - count : end], u[end - count : end], x[end - 1 : end]) for end in ends]
-    states, inputs, true = map(list, zip(*parts[:: max(1, len(parts) // _ONE_STEP)]))
+    for x, u in windows:
+        ends = range(count, len(x) + 1, count - 1)
+        parts += [(x[end - count : end], u[end - count : end]) for end in ends]
+    states, inputs = map(list, zip(*parts[:: max(1, len(parts) // _ONE_STEP)]))
     with np.errstate(over="ignore", invalid="ignore"):
-        predicted = np.asarray(model.predict(starts.with_data(states, inputs)))[:, -1:]
-    span = np.ptp(np.concatenate([x for x, _ in truth]), axis=0)
-    return metrics.judge(np.array(true), predicted, span=span).nrmse
+        predicted = np.asarray(model.predict(windows.with_data(states, inputs)))[:, -1:]
+    return metrics.judge(np.array([x[-1:] for x in states]), predicted, span=span).nrmse

@@ -1,8 +1,9 @@
 """Which dictionary, predictor, delays and treatment of noise: candidates judged by roll-outs of held-out trajectories.
 
 `choose` compares the models that it is given. `search`, for `tras.identify`, has two rounds of its own, because all
-combinations take too long: treatments and delays, with a linear and a nonlinear dictionary; then every dictionary and
-predictor at the best of these, and without delays.
+combinations take too long: treatments, delays and the input's timing, with a linear and a nonlinear dictionary; then
+every dictionary and predictor at the best of these, and without delays. Every prediction starts from samples as they
+were measured up to that instant.
 """
 
 import math
@@ -18,15 +19,20 @@ from tras.dictionaries.mechanical import Mechanical
 from tras.dictionaries.monomials import Monomials
 from tras.dictionaries.radial import GaussianRBF
 from tras.fitting import hold_out
+from tras.identification import preparation
 from tras.identification.preparation import Treatments, is_noisy
-from tras.metrics import multi_step_error
+from tras.metrics import diverged, multi_step_error
 from tras.model import KoopmanModel
 from tras.recording import Recording, join
 
 SEARCHED = 20_000  # snapshot pairs that `search` looks at, at most
-DELAYS = (0, 1, 2, 4, 8)  # that `search` tries by default
-_CHANNELS = 60  # at most, earlier samples included
-_CLOSE = 1.1  # errors within ten percent count as equal: the model with fewer functions is then better
+DELAYS = (0, 1, 2, 4, 8, 16, 32)  # that `search` tries by default
+_CHANNELS = 60  # at most, earlier samples included, with a dictionary that is not linear
+_LINEAR_CHANNELS = 300  # at most, earlier samples included, with a linear one
+_FREE = 3000  # samples of a free run in the search, at most
+CLOSE = 1.1  # errors within ten percent count as equal: the model with fewer functions is then better
+_SPREAD = 1.5  # errors beyond it never do, however much they vary from window to window
+_DRAWS = 200  # of windows, for that spread
 
 
 def candidates(recording: Recording, predictor: str = "vector_field", delays: int = 0) -> list[KoopmanModel]:
@@ -103,7 +109,7 @@ def choose(recording: Recording, models: Iterable | None = None) -> tuple[Koopma
         )
     latest = max(getattr(model, "delays", 0) for model in models)
     table = pd.DataFrame([
-        {"candidate": label(model), **attempt(model, train, windows, windows, latest), "model": model}
+        {"candidate": label(model), **_told(attempt(model, train, windows, latest)), "model": model}
         for model in tqdm(models, desc="choose", leave=False, disable=None)
     ])  # fmt: skip
     table["chosen"] = table.index == best(table).name
@@ -112,25 +118,28 @@ def choose(recording: Recording, models: Iterable | None = None) -> tuple[Koopma
 
 def search(
     treatments: Treatments, samples: int, *, predictor: str | None = None, delays: Sequence[int] | None = None,
-    smoothing: bool | None = None,
+    smoothing: bool | None = None, lead: int | None = None,
 ) -> tuple[pd.DataFrame, list[str]]:  # fmt: skip
     """Candidates for a recording of which nothing else is known, and their errors.
+
+    Each is fitted to all trajectories less the stretches that are held out, and judged on these: over windows of
+    ``samples``, and in one free run over each stretch.
 
     Parameters
     ----------
     treatments : Treatments
         Of the training trajectories.
     samples : int
-        Length of a piece.
-    predictor, delays, smoothing
+        Length of a window.
+    predictor, delays, smoothing, lead
         As for `tras.identify`.
 
     Returns
     -------
     table : pandas.DataFrame
-        One row per candidate: ``round, states`` ("as measured" or "smoothed"), ``delays, predictor, dictionary``,
-        ``functions, strength, error, failure`` as in `attempt`, ``model`` (unfitted, with the strength that it chose),
-        ``chosen``. The truth is always what was measured.
+        One row per candidate: ``round, states`` ("as measured" or "smoothed"), ``delays, lead, predictor,
+        dictionary``, ``functions, strength, error, windows, free, lost, failure, squares`` as in `attempt`, ``model``
+        (unfitted), ``chosen``. The truth, and what predictions start from, is always what was measured.
     remarks : list of str
         Sentences on the data that were used.
 
@@ -140,41 +149,69 @@ def search(
         If the recording is too short, or no candidate can be fitted.
     """
     recording, pairs = treatments.recording, treatments.pairs
-    if delays is None:  # that pieces of so many samples allow; at most one if all velocities are measured
-        most = 1 if recording.n == 2 * len(pairs) else max(DELAYS)
-        most = min((samples - 1) // 4, _CHANNELS // (recording.n + recording.m) - 1, most)
-        delays = [d for d in DELAYS if d == 0 or d <= most]
-    latest = max(delays)
     names = ["smoothed"] if smoothing else ["as measured"]
-    if smoothing is None and is_noisy(recording):
+    noisy = is_noisy(recording)
+    if smoothing is None and noisy:
         names.append("smoothed")
-    parts, remarks = _parts(treatments, names, samples, latest)
-    truth = parts["as measured"][1]
+    if delays is None:
+        delays = _delays(recording, complete=recording.n == 2 * len(pairs) and not noisy)
+    latest, leads = max(delays), _leads(recording, lead)
+    parts, windows, blocks, remarks = _parts(treatments, names, samples, latest)
     rows, keys = [], set()
 
     def attempt_all(number, description, models):
         for name, model in tqdm(models, desc=description, leave=False, disable=None):
             if (name, repr(model)) not in keys:
                 keys.add((name, repr(model)))
-                scores = attempt(model, *parts[name], truth, latest)
-                if not scores["failure"]:
-                    model = clone(model).set_params(strength=float(scores["strength"]))
-                options = {"delays": model.delays, "predictor": model.predictor, "dictionary": label(model.dictionary)}
+                options = {"delays": model.delays, "lead": model.lead, "predictor": model.predictor}
+                options["dictionary"] = label(model.dictionary)
+                scores = attempt(model, parts[name], windows, latest, blocks)
                 rows.append({"round": number, "states": name, **options, **scores, "model": model})
         return pd.DataFrame(rows)
 
     first = predictor or "one_step"
-    models = [(name, model) for name in names for d in delays for model in _first_round(parts[name][0], d, first)]
-    leader = best(attempt_all(1, "treatments and delays", models), _CLOSE)
-    name = leader["states"]
-    second_delays = dict.fromkeys((int(leader["delays"]), delays[0]))
-    models = [(name, model) for d in second_delays for model in _second_round(parts[name][0], d, pairs, predictor)]
+    timings = [(name, d, k) for name in names for d in delays for k in leads]
+    models = [(name, model) for name, d, k in timings for model in _first_round(parts[name], d, k, first)]
+    table = attempt_all(1, "treatments and delays", models)
+    leaders = [best(table, CLOSE)]
+    curved = table[table["dictionary"] != label(Monomials(1))]
+    if np.isfinite(curved["error"]).any():  # few delays may suit a dictionary that is not linear, many a linear one
+        leaders.append(best(curved, CLOSE))
+    settings = [(row["states"], int(row["delays"]), int(row["lead"])) for row in leaders]
+    settings.append((settings[0][0], delays[0], settings[0][2]))
+    models = [
+        (name, model)
+        for name, d, k in dict.fromkeys(settings)
+        for model in _second_round(parts[name], d, k, pairs, predictor)
+    ]
     table = attempt_all(2, "dictionaries", models)
-    table["chosen"] = table.index == best(table, _CLOSE).name
+    table["chosen"] = table.index == best(table, CLOSE).name
     return table, remarks
 
 
-def attempt(model, train: Recording, starts: Recording, truth: Recording, latest: int) -> dict:
+def _delays(recording, complete):
+    """Delays that the lengths of the trajectories and the number of channels allow.
+
+    Where all velocities are measured (``complete``) and noise does not ask for averages, one at most.
+    """
+    lengths = recording.lengths
+    shortest = int(np.median(lengths)) if len(lengths) >= 5 else int(lengths.max()) // 10
+    most = min(shortest // 3, _LINEAR_CHANNELS // (recording.n + recording.m) - 1, max(DELAYS))
+    most = min(most, recording.pairs // (5 * (recording.n + recording.m)) - 1)
+    return [d for d in DELAYS if d <= max(0, min(most, 1 if complete else most))]
+
+
+def _leads(recording, lead):
+    """Timings of the input to try: as the recording says, by its `intersample`, or both."""
+    if lead is not None:
+        return [lead]
+    intersample = recording.attributes.get("intersample")
+    if not recording.m or intersample == "zoh":
+        return [0]
+    return [1] if intersample in ("foh", "bl") else [0, 1]
+
+
+def attempt(model, train: Recording, windows: Recording, latest: int, blocks: Recording | None = None) -> dict:
     """Fit a copy of one candidate, and judge it by roll-outs over trajectories that it was not fitted to.
 
     Parameters
@@ -182,27 +219,47 @@ def attempt(model, train: Recording, starts: Recording, truth: Recording, latest
     model : estimator
     train : Recording
         What it is fitted to.
-    starts, truth : Recording
-        Windows of one length, as the model sees them and as measured.
+    windows : Recording
+        Of one length, as measured.
     latest : int
         The sample from which predictions begin.
+    blocks : Recording, optional
+        Longer stretches, for free runs.
 
     Returns
     -------
     dict
-        ``functions``, ``strength`` (NaN if the estimator has none), ``error`` (root mean square in half-ranges of the
-        states, each sample's at most 10; infinite without a model), ``failure`` (empty, or why there is no model).
+        ``functions``, ``strength`` (NaN if the estimator has none), ``windows`` and ``free`` (root mean squares over
+        windows and free runs, in half-ranges of the states, each sample's at most 10), ``error`` (their geometric mean;
+        infinite without a model), ``lost`` (windows in which the prediction ran away), ``failure`` (empty, or why there
+        is no model), ``squares`` (the mean square of each window).
     """
-    model, error, failure = clone(model), math.inf, ""
-    half_range = np.ptp(truth.states, axis=(0, 1)) / 2
+    model, failure = clone(model), ""
+    error, apart, free, lost, squares = math.inf, math.inf, math.nan, len(windows), None
+    half_range = np.ptp(windows.states, axis=(0, 1)) / 2
+    half_range = np.where(half_range > 0, half_range, 1.0)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # divergence is part of the error, not a warning
-            predicted = np.stack(roll_outs(model.fit(train), starts, latest))
-            error = relative_error(truth.states[:, latest:], predicted, np.where(half_range > 0, half_range, 1.0))
+            truth, predicted = windows.states[:, latest:], np.stack(roll_outs(model.fit(train), windows, latest))
+            apart = error = relative_error(truth, predicted, half_range)
+            capped = np.minimum(np.nan_to_num(np.abs(predicted - truth) / half_range, nan=10.0), 10.0)
+            squares, lost = np.mean(capped**2, axis=(1, 2)), int(diverged(truth, predicted).sum())
+            if blocks is not None:
+                runs = roll_outs(model, blocks, latest)
+                both = zip((x[latest:] for x, _ in blocks), runs)
+                free = np.concatenate([np.abs(run - x) / half_range for x, run in both])
+                free = float(np.sqrt(np.mean(np.minimum(np.nan_to_num(free, nan=10.0), 10.0) ** 2)))
+                error = math.sqrt(apart * free)
     except (ValueError, MemoryError) as reason:
         failure = str(reason)
     functions = len(model.names_) if hasattr(model, "names_") else np.nan
-    return {"functions": functions, "strength": getattr(model, "strength_", np.nan), "error": error, "failure": failure}
+    size = {"functions": functions, "strength": getattr(model, "strength_", np.nan)}
+    scores = {"error": error, "windows": apart, "free": free, "lost": lost, "failure": failure, "squares": squares}
+    return size | scores
+
+
+def _told(scores):
+    return {key: scores[key] for key in ("functions", "strength", "error", "failure")}
 
 
 def roll_outs(model, starts: Recording, latest: int) -> list[np.ndarray]:
@@ -224,44 +281,76 @@ def relative_error(true: np.ndarray, predicted: np.ndarray, half_range: np.ndarr
 
 
 def best(table: pd.DataFrame, tolerance: float = 1.0) -> pd.Series:
-    """The row with the fewest functions among those whose error is at most ``tolerance`` times the least."""
-    least = table["error"].min()
-    if not math.isfinite(least):
+    """The row with the fewest functions among those that are as good as the best one.
+
+    A candidate that lost a window (``lost``) is no rival to those that lost none. As good is an error of at most
+    ``tolerance`` times the least, or, where the table has ``squares``, one whose ratio to it is not above one in 95 of
+    100 draws of the windows (paired bootstrap), and at most 1.5.
+    """
+    if not math.isfinite(table["error"].min()):
         reason = table["failure"].iloc[-1]
         raise ValueError(f"none of the {len(table)} candidates could be fitted; the last one because: {reason}")
-    return table[table["error"] <= tolerance * least].sort_values(["functions", "error"], kind="stable").iloc[0]
+    if "lost" in table and (table["lost"] == 0).any():
+        table = table[table["lost"] == 0]
+    leader = table.loc[table["error"].idxmin()]
+    close = table["error"] <= tolerance * leader["error"]
+    if "squares" in table and leader["squares"] is not None:
+        close |= np.array([_within_spread(row, leader) for _, row in table.iterrows()])
+    return table[close].sort_values(["functions", "error"], kind="stable").iloc[0]
+
+
+def _within_spread(row, leader):
+    """Whether a candidate's error is above the leader's by less than both vary together over draws of the windows."""
+    if not row["error"] <= _SPREAD * leader["error"]:
+        return False
+    count = len(leader["squares"])
+    draws = np.random.default_rng(0).integers(count, size=(_DRAWS, count))
+    windows = np.sqrt(row["squares"][draws].mean(axis=1) / leader["squares"][draws].mean(axis=1))
+    # The free runs are few; their ratio is taken as it is.
+    free = row["free"] / leader["free"] if row["free"] > 0 and leader["free"] > 0 else 1.0
+    return bool(np.quantile(np.sqrt(windows * free), 0.05) <= 1)
 
 
 def _parts(treatments, names, samples, latest):
-    """Treatment, "as measured" among them -> (pieces to fit, windows held out); and remarks on these."""
+    """Treatment -> stretches to fit; windows and stretches held out, as measured; and remarks on these."""
     train, treatments = treatments.recording, treatments.at_most(2 * SEARCHED)
-    names = dict.fromkeys(["as measured", *names])
-    parts = {name: hold_out(treatments.pieces(name, samples, latest + 10, SEARCHED)) for name in names}
-    pieces, windows = parts["as measured"]
-    if windows is None or windows.lengths.min() < latest + 5:
+    measured = treatments.whole("as measured")
+    learn, judge = preparation.held_out(measured.lengths, latest + 5)
+    if not judge:
         raise ValueError(
             f"there are {train.pairs} snapshot pairs in {len(train)} trajectories to learn from, too few to hold out "
-            f"pieces of {latest + 10} samples for the choice of a model: record more, or try fewer delays."
+            f"stretches of {latest + 5} samples for the choice of a model: record more, or try fewer delays."
         )
-    judge = f"{len(windows)} held-out pieces of {int(windows.lengths[0])} samples"
-    remarks = [f"{pieces.pairs} snapshot pairs for the fits, {judge} for the errors"]
-    pairs = pieces.pairs + windows.pairs
-    if pairs < 0.9 * train.pairs:
-        amount = f"{pairs} of {train.pairs} snapshot pairs"
+    learn = [(i, a, b) for i, a, b in learn if b - a > latest]
+    parts = {name: preparation.stretches(treatments.whole(name), learn) for name in names}
+    blocks = preparation.stretches(measured, judge)
+    windows = preparation.windows(blocks, samples, latest, SEARCHED // 2)
+    longest = [(i, a, min(b, a + latest + _FREE)) for i, a, b in sorted(judge, key=lambda span: span[1] - span[2])[:8]]
+    blocks = preparation.stretches(measured, longest)
+    seconds = (windows.lengths[0] - latest - 1) * train.dt
+    runs = f"{len(blocks)} free run{'s' if len(blocks) > 1 else ''} of up to {blocks.lengths.max() - latest} samples"
+    pairs = sum(b - a for _, a, b in learn)
+    remarks = [
+        f"{pairs} snapshot pairs for the fits; the errors are those over {len(windows)} held-out windows of "
+        f"{seconds:.3g} s and {runs}"
+    ]
+    if measured.pairs < 0.9 * train.pairs:
+        amount = f"{measured.pairs} of {train.pairs} snapshot pairs"
         remarks.append(f"the search looks at {amount}, spread evenly; the chosen model is fitted to more")
-    return parts, remarks
+    return parts, windows, blocks if blocks.lengths.max() > 1.5 * windows.lengths[0] else None, remarks
 
 
-def _first_round(train, delays, predictor):
+def _first_round(train, delays, lead, predictor):
     """Models with a linear and a nonlinear dictionary: cubic monomials while they are few, else Gaussians."""
     linear, cubic = (_monomials(train, delays, predictor, degree) for degree in (1, 3))
-    most = _most(train)
-    nonlinear = Monomials(3) if cubic <= min(150, most) else GaussianRBF(60, width="auto", centres="kmeans")
-    dictionaries = [Monomials(1), nonlinear] if linear + 60 <= most or cubic <= most else [Monomials(1)]
-    return [KoopmanModel(dictionary, predictor, delays) for dictionary in dictionaries]
+    most, dictionaries = _most(train), [Monomials(1)]
+    if (train.n + train.m) * (delays + 1) <= _CHANNELS and (linear + 60 <= most or cubic <= most):
+        few = cubic <= min(150, most)
+        dictionaries.append(Monomials(3) if few else GaussianRBF(60, width="auto", centres="kmeans"))
+    return [KoopmanModel(dictionary, predictor, delays, lead=lead) for dictionary in dictionaries]
 
 
-def _second_round(train, delays, pairs, predictor):
+def _second_round(train, delays, lead, pairs, predictor):
     """Models with every dictionary and predictor worth trying, the smallest first."""
     models = []
     # With delays a vector field could not know the earlier inputs.
@@ -275,7 +364,7 @@ def _second_round(train, delays, pairs, predictor):
             positions, velocities = ([train.state_names.index(name) for name in column] for column in zip(*pairs))
             shapes = [(degree, [shape]) for degree in (3, 8) for shape in positions[:4]]
             dictionaries += [Mechanical(degree, positions, velocities, shape) for degree, shape in shapes]
-        models += [KoopmanModel(dictionary, each, delays) for dictionary in dictionaries]
+        models += [KoopmanModel(dictionary, each, delays, lead=lead) for dictionary in dictionaries]
     return models
 
 
