@@ -76,6 +76,7 @@ def verdict(identification) -> str:
             f"{of_model['nrmse'].max():.2g} % of the ranges."
         )
     of_model = of_model[moving]
+    remark = "; ".join(getattr(identification, "remarks", {}).get("choice", []))
     parts = [f"Over {horizon:.3g} s the model misses the test data by {_range_of(of_model['nrmse'])}, root mean square"]
     if not np.isfinite(of_model["free"]).all():
         parts.append(f"a free run over the whole test ({longest:.3g} s) runs away")
@@ -83,7 +84,7 @@ def verdict(identification) -> str:
         parts.append(f"in a free run over the whole test ({longest:.3g} s) by {_range_of(of_model['free'])}")
     if lost := int(of_model["diverged"].iloc[0]):
         parts.append(f"{lost} of {int(of_model['windows'].iloc[0])} predictions ran away")
-    return f"{'; '.join(parts)}. {_comparison(table, moving, identification.model.dictionary)}."
+    return f"{'; '.join(parts)}. {_comparison(table, moving, identification.model.dictionary, remark)}."
 
 
 def _range_of(errors):
@@ -103,7 +104,7 @@ def error_of(table, prediction, moving=None) -> float:
     return float(np.exp(np.nanmean(np.log(np.maximum(rows[columns].to_numpy(dtype=float), 1e-12)))))
 
 
-def _comparison(table, moving, dictionary):
+def _comparison(table, moving, dictionary, remark):
     """The model beside the linear one and the trivial ones, in both directions."""
     ours = error_of(table, "model", moving)
     trivial = {name: error_of(table, name, moving) for name in (HELD, CONSTANT)}
@@ -112,7 +113,7 @@ def _comparison(table, moving, dictionary):
         what = "that nothing changes" if better == HELD else "the mean of the training data"
         return f"Do not use it: to predict {what} is better (its error is {trivial[better] / ours:.2g} times as large)"
     if is_linear(dictionary):
-        return "The model is linear; no nonlinear one was better"
+        return f"The model is linear: {remark}" if remark else "The model is linear; no nonlinear one was better"
     lost = {name: table.loc[name, "diverged"].iloc[0] for name in ("model", "linear model")}
     if lost["model"] > lost["linear model"]:
         return "A linear model ran away less often"
@@ -124,6 +125,26 @@ def _comparison(table, moving, dictionary):
     if ratio < 1.1:
         return "A linear model is about as good"
     return f"The error of a linear model is {ratio:.3g} times as large"
+
+
+def worse_than_linear(metrics) -> str:
+    """Why the test speaks for the linear model and against the chosen one, or nothing."""
+    table = metrics.set_index(["prediction", "state"])
+    moving = table.loc["model", "moves"].to_numpy(dtype=bool)
+    lost, of_linear = (int(table.loc[name, "diverged"].iloc[0]) for name in ("model", "linear model"))
+    windows = int(table.loc["model", "windows"].iloc[0])
+    if lost != of_linear:
+        return (
+            f"it ran away in {lost} of {windows} test windows, a linear model in {of_linear}"
+            if lost > of_linear
+            else ""
+        )
+    free = [np.isfinite(table.loc[name, "free"]).all() for name in ("model", "linear model")]
+    if free[0] != free[1]:
+        return "its free run over the test ran away, that of a linear model did not" if free[1] else ""
+    moving = moving if moving.any() else ~moving
+    ratio = error_of(table, "model", moving) / error_of(table, "linear model", moving)
+    return f"its error in the test is {ratio:.3g} times that of a linear model" if ratio > 1.05 else ""
 
 
 def is_linear(dictionary) -> bool:

@@ -139,10 +139,16 @@ def _identify(log, predictor, delays, smoothing, lead, horizon, draws, seed):
     windows = preparation.windows(test_log, samples, latest, TESTED)
 
     row, model = _fitted(table, training)
-    _, linear = _fitted(table[table["dictionary"] == "Monomials(degree=1)"], training)
+    linear_row, linear = _fitted(table[table["dictionary"] == "Monomials(degree=1)"], training)
+    models, choice_remarks = {CHOSEN: model, LINEAR: linear}, []
+    metrics, runs = compare(models, windows, test_log, training.whole(row["states"]), latest)
+    if remark := advice.worse_than_linear(metrics):
+        choice_remarks.append(f"{short(label(model), 80)} was chosen, but {remark}; so the linear one is delivered")
+        row, model = linear_row, linear
+        models[CHOSEN] = model
+        metrics, runs = compare(models, windows, test_log, training.whole(row["states"]), latest)
     table["chosen"] = table.index == row.name
     train = training.whole(row["states"])
-    metrics, runs = compare({CHOSEN: model, LINEAR: linear}, windows, test_log, train, latest)
     delivered = _refitted(model, preparation.Treatments(recording, pairs, FITTED).whole(row["states"]))
     ensemble, no_band = [], "" if draws else "no band was asked for"
     if draws:
@@ -154,6 +160,7 @@ def _identify(log, predictor, delays, smoothing, lead, horizon, draws, seed):
             no_band = str(error)
     remarks = {"idle": idle_remarks, "partition": [partition_remark, length_remark], "pairs": pair_remarks}
     remarks |= {"search": search_remarks, "treatment": row["states"], "band": no_band, "error": row["windows"]}
+    remarks["choice"] = choice_remarks
     identification = Identification(
         recording, train, windows, test_log, check(recording, max(1, lag // 4)), table.drop(columns="squares"), model,
         linear, delivered, metrics, growth(runs, windows, latest), _overlay(runs, windows, model, ensemble, latest),

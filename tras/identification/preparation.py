@@ -13,6 +13,7 @@ from tras.workflow import arguments
 LONGEST, SHORTEST = 501, 26  # samples of a piece, both ends included
 _FEWEST_TRIALS = 5  # from which on whole trials are held back for the test
 _CHUNK = 2001  # samples that are smoothed at once
+_STILL_MOVES = 0.5  # the same of what is learnt from
 _MOVES = 0.2  # standard deviation of a state in the test over that in the whole recording, at least, if it can be had
 _FINE = 2e-4  # noise, as a fraction of the range, that is not worth smoothing away
 
@@ -94,18 +95,20 @@ def partition(recording: Recording) -> tuple[Recording, Recording, str]:
     if which == 4:
         return train, test, f"the last fifth of {whole} is kept for the test"
     where = f"{edges[which] * recording.dt:.4g} s to {edges[which + 1] * recording.dt:.4g} s"
-    return train, test, f"{where} is kept for the test, the latest fifth in which the states move"
+    return train, test, f"{where} is kept for the test, the latest fifth in which the states move as they do elsewhere"
 
 
 def _moving_fifth(recording, edges):
-    """The latest fifth of one trajectory in which every state moves, and without which it still does; else the last."""
+    """The latest fifth of one trajectory in which every state moves, and without which it still does.
+
+    Otherwise the one that comes nearest to that, or the last one if nothing moves in any.
+    """
     x = recording.states[0]
-    whole = x.std(axis=0)
-    for k in range(4, 0, -1):
-        test, rest = x[edges[k] : edges[k + 1] + 1], np.delete(x, slice(edges[k], edges[k + 1] + 1), axis=0)
-        if (test.std(axis=0) >= _MOVES * whole).all() and (rest.std(axis=0) >= 0.5 * whole).all():
-            return k
-    return 4
+    whole, fifths = x.std(axis=0), [slice(a, b + 1) for a, b in zip(edges[:-1], edges[1:])]
+    share = [min((x[part].std(axis=0) / whole).min() / _MOVES, 1) for part in fifths]
+    left = [min((np.delete(x, part, axis=0).std(axis=0) / whole).min() / _STILL_MOVES, 1) for part in fifths]
+    score = np.minimum(share, left)
+    return int(np.flatnonzero(score == score.max())[-1]) if score.max() > 0 else 4
 
 
 def held_out(lengths: np.ndarray, fewest: int) -> tuple[list, list]:

@@ -32,8 +32,8 @@ def compare(
     table : pandas.DataFrame
         ``state, prediction, one_step`` (NRMSE over one sample, %), ``nrmse, bfr`` (%), ``enr`` (fraction), ``windows,
         diverged`` over the windows, ``free, free_bfr`` (NRMSE and BFR in %) over free runs of the whole test, ``moves``
-        (whether the state does, in the test), ``horizon, free_horizon`` (s). The metrics are over the windows in which no model ran away, the same
-        ones for all; a free run that diverged has an infinite error. NaN where a state does not move.
+        (whether the state does, in the test), ``horizon, free_horizon`` (how long they are, in s). The metrics are over
+        the windows in which no model ran away, the same ones for all; a free run that diverged has an infinite error.
     runs : dict of str to list of (samples_i, n)
         The predictions over the windows.
     """
@@ -42,7 +42,9 @@ def compare(
     span, usual = np.ptp(np.concatenate(full), axis=0), np.ptp(past, axis=0)
     moves = span > _STILL * usual
     span = np.where(moves, span, usual)
-    longest = lambda trajectories: (max(map(len, trajectories)) - 1) * windows.dt
+    horizons = {
+        name: (max(map(len, part)) - 1) * windows.dt for name, part in (("horizon", true), ("free_horizon", full))
+    }
     runs, free = ({name: roll_outs(model, part, latest) for name, model in models.items()} for part in (windows, whole))
     for into, truth in ((runs, true), (free, full)):
         into[HELD] = [np.repeat(x[:1], len(x), axis=0) for x in truth]
@@ -60,7 +62,7 @@ def compare(
         values |= {"windows": len(true), "diverged": int(lost[name].sum()) if name in lost else 0}
         gone = long.diverged == long.windows or name in models and long.diverged
         values |= {"free": np.inf if gone else long.nrmse, "free_bfr": 0.0 if gone else long.bfr, "moves": moves}
-        values |= {"horizon": longest(true), "free_horizon": longest(full)}
+        values |= horizons
         parts.append(pd.DataFrame({"state": windows.state_names, "prediction": name, "one_step": one_step, **values}))
     return pd.concat(parts, ignore_index=True), runs
 

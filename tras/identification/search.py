@@ -27,11 +27,12 @@ from tras.recording import Recording, join
 
 SEARCHED = 20_000  # snapshot pairs that `search` looks at, at most
 DELAYS = (0, 1, 2, 4, 8, 16, 32)  # that `search` tries by default
+_CURVED = 8  # delays with a dictionary that is not linear, at most
 _CHANNELS = 60  # at most, earlier samples included, with a dictionary that is not linear
 _LINEAR_CHANNELS = 300  # at most, earlier samples included, with a linear one
 _FREE = 3000  # samples of a free run in the search, at most
 CLOSE = 1.1  # errors within ten percent count as equal: the model with fewer functions is then better
-_SPREAD = 1.5  # errors beyond it never do, however much they vary from window to window
+_SPREAD = 1.2  # errors beyond it never do, however much they vary from window to window
 _DRAWS = 200  # of windows, for that spread
 
 
@@ -171,7 +172,16 @@ def search(
 
     first = predictor or "one_step"
     timings = [(name, d, k) for name in names for d in delays for k in leads]
-    models = [(name, model) for name, d, k in timings for model in _first_round(parts[name], d, k, first)]
+    models = [(name, KoopmanModel(Monomials(1), first, d, lead=k)) for name, d, k in timings]
+    table = attempt_all(1, "treatments and delays", models)
+    # The timing of the input shows in a linear model too; so the slower dictionaries try what it leaves open.
+    least = {k: table.loc[table["lead"] == k, "error"].min() for k in leads}
+    models = [
+        (name, KoopmanModel(dictionary, first, d, lead=k))
+        for name, d, k in timings
+        if d <= _CURVED and least[k] <= CLOSE * min(least.values())
+        for dictionary in _curved(parts[name], d, first)
+    ]
     table = attempt_all(1, "treatments and delays", models)
     leaders = [best(table, CLOSE)]
     curved = table[table["dictionary"] != label(Monomials(1))]
@@ -285,7 +295,7 @@ def best(table: pd.DataFrame, tolerance: float = 1.0) -> pd.Series:
 
     A candidate that lost a window (``lost``) is no rival to those that lost none. As good is an error of at most
     ``tolerance`` times the least, or, where the table has ``squares``, one whose ratio to it is not above one in 95 of
-    100 draws of the windows (paired bootstrap), and at most 1.5.
+    100 draws of the windows (paired bootstrap), and at most 1.2.
     """
     if not math.isfinite(table["error"].min()):
         reason = table["failure"].iloc[-1]
@@ -340,14 +350,13 @@ def _parts(treatments, names, samples, latest):
     return parts, windows, blocks if blocks.lengths.max() > 1.5 * windows.lengths[0] else None, remarks
 
 
-def _first_round(train, delays, lead, predictor):
-    """Models with a linear and a nonlinear dictionary: cubic monomials while they are few, else Gaussians."""
+def _curved(train, delays, predictor):
+    """A dictionary that is not linear, if the data allow one: cubic monomials while they are few, else Gaussians."""
     linear, cubic = (_monomials(train, delays, predictor, degree) for degree in (1, 3))
-    most, dictionaries = _most(train), [Monomials(1)]
-    if (train.n + train.m) * (delays + 1) <= _CHANNELS and (linear + 60 <= most or cubic <= most):
-        few = cubic <= min(150, most)
-        dictionaries.append(Monomials(3) if few else GaussianRBF(60, width="auto", centres="kmeans"))
-    return [KoopmanModel(dictionary, predictor, delays, lead=lead) for dictionary in dictionaries]
+    most = _most(train)
+    if (train.n + train.m) * (delays + 1) > _CHANNELS or (linear + 60 > most and cubic > most):
+        return []
+    return [Monomials(3) if cubic <= min(150, most) else GaussianRBF(60, width="auto", centres="kmeans")]
 
 
 def _second_round(train, delays, lead, pairs, predictor):
