@@ -112,8 +112,8 @@ sweep: $(READY) ## explore |  | many fits: SWEEP=params/sweeps/dictionaries.yaml
 	@$(PY) -m tras.sweeps.command $(SWEEP) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
 # RECORDING=log.csv, "a.csv b.csv" or "run*.csv", and where names are not plain ROLES=roles.yaml or STATES=a,b INPUTS=c TIME=t TRIAL=run; also
-# TEST= FROM= TO= DECIMATE= DT= RESAMPLE= PREDICTOR= DELAYS= SMOOTHING= DRAWS= OUT= (docs/own_rig.md).
-IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL TEST FROM TO DECIMATE DT RESAMPLE PREDICTOR DELAYS SMOOTHING DRAWS
+# TEST= FROM= TO= DECIMATE= DT= RESAMPLE= PREDICTOR= DELAYS= SMOOTHING= LEAD= HORIZON= DRAWS= OUT= (docs/own_rig.md).
+IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL TEST FROM TO DECIMATE DT RESAMPLE PREDICTOR DELAYS SMOOTHING LEAD HORIZON DRAWS
 # Only what stands on the command line: TEST, FROM and TIME may be in anybody's environment.
 quoted = '$(subst ','\'',$(1))'
 lower = $(shell printf %s "$(1)" | tr A-Z a-z)

@@ -185,8 +185,8 @@ def paired(recording):
     return preparation.velocity_pairs(recording, preparation.memory(recording))
 
 
-def piece_length(recording):
-    return preparation.piece_length(recording, preparation.memory(recording))
+def window_length(recording):
+    return preparation.window_length(recording, preparation.memory(recording))
 
 
 @pytest.mark.slow
@@ -199,18 +199,18 @@ def test_velocities_are_known_by_their_numbers():
     assert paired(r.select(states=["position"])) == []
 
 
-def test_memory_and_pieces():
+def test_memory_and_windows():
     rng = np.random.default_rng(0)
     x = np.zeros(20_000)
     for k in range(1, len(x)):
         x[k] = 0.95 * x[k - 1] + rng.normal()
     recording = one([x])
     assert preparation.memory(recording) == pytest.approx(1 / -np.log(0.95), rel=0.2)
-    samples, why = piece_length(recording)
+    samples, why = window_length(recording)
     assert samples == 5 * preparation.memory(recording) + 1 and "five times" in why
-    assert piece_length(one([x[:200]]))[0] == 26
-    assert piece_length(one([np.cumsum(np.cumsum(x))]))[0] == 501
-    assert piece_length(one([x[:20]]))[0] == 20
+    assert window_length(one([x[:200]]))[0] == 26
+    assert window_length(one([np.cumsum(np.cumsum(x))]))[0] == 501
+    assert window_length(one([x[:20]]))[0] == 20
 
 
 @pytest.mark.parametrize("lengths", [[500], [300, 200], [60] * 8])
@@ -287,7 +287,7 @@ def test_roll_outs_begin_at_one_instant(log):
 def test_scores_are_the_metrics(log):
     model = tras.KoopmanModel(tras.Monomials(1), "one_step").fit(log)
     windows = log.cut(51)
-    table, runs = compare({"model": (model, windows)}, windows, log, 0)
+    table, runs = compare({"model": model}, windows, log, log, 0)
     mine = table.set_index(["prediction", "state"])
     predicted = model.predict(windows)
     for i, state in enumerate(log.state_names):

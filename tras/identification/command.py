@@ -21,6 +21,7 @@ import tempfile
 from pathlib import Path
 
 from tras.io.formats import FORMATS
+from tras.io.limits import one_line
 from tras.workflow.arguments import MissingExtraError
 from tras.workflow.files import working_folder
 from tras.workflow.parameters import ParameterError, check_parameters, notebook_defaults
@@ -57,8 +58,17 @@ def main(arguments: list[str] | None = None, program: str = MODULE) -> int:
     except Interrupted as interrupt:
         print("identify was interrupted; no results were written.", file=sys.stderr)
         return 128 + interrupt.args[0]
-    print(f"{_inside(out, Path.cwd())}/report.html  {seconds:.0f} s")
+    print(f"{_inside(out, Path.cwd())}/report.html  {seconds:.0f} s  {_numbers_of_test(out)}")
     return 0
+
+
+def _numbers_of_test(out):
+    """The errors of the model in the test, per state, in a few words."""
+    with open(out / "tables" / "metrics.csv", newline="", encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["prediction"] == "model"]
+    numbers = [f"{one_line(row['state'])} {float(row['nrmse']):.2g} % ({float(row['free']):.2g} %)" for row in rows[:4]]
+    more = f" and {len(rows) - 4} more" if len(rows) > 4 else ""
+    return f"NRMSE in the test (free run): {', '.join(numbers)}{more}"
 
 
 class _Parser(argparse.ArgumentParser):
@@ -122,6 +132,8 @@ def _parser(program):
     add("--delays", type=_numbers, default=[], help="the only numbers of delays to try, separated by commas")
     smoothing = "smooth the states before the fit (default: both are tried if they are noisy)"
     add("--smoothing", default="", choices=["", "yes", "no"], help=smoothing)
+    add("--lead", default="", choices=["", "0", "1"], help="the input acts after (0) or before (1) its sample")
+    add("--horizon", type=float, default=0.0, help="how far ahead the model is to predict, in s")
     add("--draws", type=int, default=30, help="members of the bootstrap, 0 for no band")
     return parser
 

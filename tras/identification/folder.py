@@ -99,16 +99,18 @@ def _write_all(identification, log, name, stage):
     for key, (_, table) in tables.items():
         path = stage / "tables" / f"{key}.csv"
         table.to_csv(path, index=key == "correlation", float_format="%.10g", lineterminator="\n")
-    identification.model.save(stage / "model.npz")
+    identification.delivered.save(stage / "model.npz")
     exports, failures = _exports(identification, stage)
     contents = [
         ("report.html", "this page"),
         ("identify.ipynb", "the notebook that made it all, executed"),
-        ("model.npz", "the model, for tras.load_model"),
+        ("model.npz", "the model, fitted to all of the recording, for tras.load_model"),
+        ("linear.npz", "the best linear model, tested beside it"),
         *exports,
         *((f"tables/{key}.csv", what) for key, (what, _) in tables.items()),
         ("figures/", "every figure as PDF, SVG and PNG, and its numbers as CSV"),
     ]
+    identification.linear.save(stage / "linear.npz")
     text = stage / "export" / "formulas.txt"
     equations = text.read_text(encoding="utf-8") if text.exists() else ""
     html = write_page(identification, log, name, pictures, contents, failures, equations)
@@ -150,6 +152,9 @@ def _figures(identification, folder):
         "spectrum": (plots.eigenvalue_figure, identification.eigenvalues),
     }
     pictures = {}
+    run, table = _free_run(identification)
+    save_figure(run, table, folder / "free_run")
+    pictures["free_run"] = page.picture(folder, "free_run")
     for key, (draw, table, *arguments) in drawings.items():
         if len(table):  # no spectra of a short recording
             save_figure(draw(table, *arguments), table, folder / key)
@@ -157,9 +162,24 @@ def _figures(identification, folder):
     return pictures
 
 
+def _free_run(identification):
+    """The longest trajectory of the test, measured and simulated: the figure and its table."""
+    whole, models = identification.whole_test, {"model": identification.model, "linear model": identification.linear}
+    if identification.model is identification.linear:
+        del models["linear model"]
+    longest = int(np.argmax(whole.lengths))
+    figure = plots.compare(whole, *models.values(), names=list(models), trajectory=longest)
+    part = whole[[longest]]
+    table = {"time": np.arange(whole.lengths[longest]) * whole.dt}
+    runs = {name: model.predict(part)[0] for name, model in models.items()}
+    for i, state in enumerate(whole.state_names):
+        table |= {f"{state}: {name}": run[:, i] for name, run in {"true": part.states[0], **runs}.items()}
+    return figure, pd.DataFrame(table)
+
+
 def _exports(identification, stage):
     """Write the exports: (file, what it is) of each, and one sentence for each that could not be made."""
-    folder, model = stage / "export", identification.model
+    folder, model = stage / "export", identification.delivered
     folder.mkdir()
     exports, failures = [], []
 

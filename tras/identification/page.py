@@ -1,6 +1,7 @@
 """The report of an identification: one page of HTML that needs no network."""
 
 import math
+from urllib.parse import quote
 
 import pandas as pd
 
@@ -11,6 +12,7 @@ from tras.io.formats import remarks
 from tras.io.limits import one_line
 from tras.workflow import page
 
+_TERMS = 30  # of formulas on the page
 _ROWS = 40  # of a table on the page; the files have all
 
 
@@ -46,7 +48,13 @@ def write_page(identification, log, name, figures, exports, failures, formulas="
         return page.figure(figures[key], alt, page.escape(caption), key) if key in figures else ""
 
     put(f"# Identification of {_plain(name)}")
-    put("## In short", text(advice.verdict(identification)), _chosen(identification), identification.advice.html())
+    caption = (
+        "A free run over the whole test: measured, and simulated from the first measured samples under the inputs "
+        "alone. The legend has the fit: 100 % is perfect, 0 % no better than the mean. Beyond the frame nothing is drawn."
+    )
+    run = picture("free_run", "Measured and simulated states over the whole test", caption)
+    put("## In short", text(advice.verdict(identification)), run, _formulas(formulas), _chosen(identification))
+    parts.append(identification.advice.html())
     sentences = _list(remarks(log)), _list(step_remarks["pairs"])
     channels = identification.recording.n + identification.recording.m
     more = f"Six of {channels} channels are shown." if channels > 6 else ""
@@ -56,8 +64,6 @@ def write_page(identification, log, name, figures, exports, failures, formulas="
     caption = "Where in frequency the channels move, by Welch's method: share of variance per Hz. Means are taken away."
     spectra = picture("spectra", "Spectra of inputs and states", caption)
     put("### Excitation", text(_excitation(identification)), _correlation(identification), spectra)
-    sentences = _list([*step_remarks["partition"], *step_remarks["search"]])
-    put("## How the model was chosen", text(_search_text(identification)), sentences, _candidates(identification))
     caption = _prediction_caption(identification)
     predictions = picture("predictions", "Measured and predicted states over two test windows", caption)
     caption = (
@@ -72,8 +78,10 @@ def write_page(identification, log, name, figures, exports, failures, formulas="
     )
     description = f"<pre>{page.escape(summary.describe(identification.model))}</pre>\n"
     spectrum = picture("spectrum", "Eigenvalues with the unit circle", caption)
-    put("## The operator", description, _formulas(formulas), spectrum)
+    put("## The operator", description, spectrum)
     put("## Files", _files(exports), _list(failures), _use(identification))
+    sentences = _list([*step_remarks["partition"], *step_remarks["search"], *step_remarks["choice"]])
+    put("## How the model was chosen", text(_search_text(identification)), sentences, _candidates(identification))
     return page.frame(f"Identification of {name}", "".join(parts), contents)
 
 
@@ -89,8 +97,9 @@ def _chosen(identification):
     states = {"smoothed": "smoothed states", "as measured": "states as measured"}[identification.remarks["treatment"]]
     dictionary = f"{page.escape(words)} (<code>{page.escape(code)}</code>, {len(model.names_)} functions)"
     return (
-        f"<p>The model: {dictionary}{delays}, predictor <code>{page.escape(model.predictor)}</code>, fitted to "
-        f"{model.pairs_} snapshot pairs of {states}.</p>\n"
+        f"<p>The model: {dictionary}{delays}, predictor <code>{page.escape(model.predictor)}</code>. What is tested was "
+        f"fitted to {model.pairs_} snapshot pairs of {states}, without the test; the files have the same model fitted to "
+        f"all {identification.delivered.pairs_}.</p>\n"
     )
 
 
@@ -162,13 +171,13 @@ def _candidates(identification):
         if row["chosen"]:
             mark = "<strong>chosen</strong>"
         words = row["model"].dictionary.words(identification.recording.state_names)
-        options = [page.escape(each) for each in (words, row["predictor"], row["delays"], row["states"])]
+        options = [page.escape(each) for each in (words, row["predictor"], row["delays"], row["lead"], row["states"])]
         numbers = [
             _number(row[name], digits) for name, digits in (("functions", ".0f"), ("strength", "g"), ("error", ".4g"))
         ]
         rows.append([*options, *numbers, mark])
     more = f" The best {_ROWS} of {count}; all are in tables/search.csv." if count > _ROWS else ""
-    head = ["dictionary", "predictor", "delays", "states", "functions", "strength", "error (half-ranges)", ""]
+    head = ["dictionary", "predictor", "delays", "lead", "states", "functions", "strength", "error (half-ranges)", ""]
     return page.table(head, rows, f"Candidates, the least error first.{more}", kind="short")
 
 
@@ -186,11 +195,21 @@ def _metrics(identification):
     rows, metrics = [], identification.metrics
     table = pd.concat([metrics[metrics["state"] == state] for state in identification.test.state_names])
     for _, row in table.iterrows():
-        formats = {"one_step": ".3g", "nrmse": ".3g", "bfr": ".4g", "enr": ".3g"}
+        formats = {"one_step": ".3g", "nrmse": ".3g", "bfr": ".4g", "enr": ".3g", "free": ".3g", "free_bfr": ".4g"}
         numbers = [_number(row[name], digits) for name, digits in formats.items()]
         names = [page.escape(row["state"]), page.escape(row["prediction"])]
         rows.append([*names, *numbers, f"{row['diverged']} of {row['windows']}"])
-    head = ["state", "prediction", "one-step NRMSE (%)", "NRMSE (%)", "BFR (%)", "Enr", "diverged"]
+    head = [
+        "state",
+        "prediction",
+        "one-step NRMSE (%)",
+        "NRMSE (%)",
+        "BFR (%)",
+        "Enr",
+        "free run: NRMSE (%)",
+        "BFR (%)",
+    ]
+    head.append("diverged")
     return page.table(head, rows, "Test.", keys=2)
 
 
@@ -208,14 +227,19 @@ def _number(value, digits):
 
 
 def _formulas(formulas):
-    if not formulas or len(formulas) > 4000:
+    if not formulas:
         return ""
+    if len(formulas) > 4000 or formulas.count(" + ") + formulas.count(" - ") >= _TERMS:
+        return '<p>The equations are long: <a href="export/formulas.txt">formulas.txt</a>.</p>\n'
     heading = "<p>As formulas, without terms that change a row by less than 1 %:</p>"
     return f"{heading}\n<pre>{page.escape(formulas.strip())}</pre>\n"
 
 
 def _files(exports):
-    rows = [[f"<code>{page.escape(name)}</code>", page.escape(what)] for name, what in exports]
+    rows = [
+        [f'<a href="{page.escape(quote(name))}"><code>{page.escape(name)}</code></a>', page.escape(what)]
+        for name, what in exports
+    ]
     return page.table(["file", "what it is"], rows, "Beside this page.", kind="short")
 
 

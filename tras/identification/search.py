@@ -32,6 +32,7 @@ _CHANNELS = 60  # at most, earlier samples included, with a dictionary that is n
 _LINEAR_CHANNELS = 300  # at most, earlier samples included, with a linear one
 _FREE = 3000  # samples of a free run in the search, at most
 CLOSE = 1.1  # errors within ten percent count as equal: the model with fewer functions is then better
+_ROUNDING = 1e-10  # half-ranges; smaller errors are all the same
 _SPREAD = 1.2  # errors beyond it never do, however much they vary from window to window
 _DRAWS = 200  # of windows, for that spread
 
@@ -303,7 +304,7 @@ def best(table: pd.DataFrame, tolerance: float = 1.0) -> pd.Series:
     if "lost" in table and (table["lost"] == 0).any():
         table = table[table["lost"] == 0]
     leader = table.loc[table["error"].idxmin()]
-    close = table["error"] <= tolerance * leader["error"]
+    close = table["error"] <= max(tolerance * leader["error"], _ROUNDING)
     if "squares" in table and leader["squares"] is not None:
         close |= np.array([_within_spread(row, leader) for _, row in table.iterrows()])
     return table[close].sort_values(["functions", "error"], kind="stable").iloc[0]

@@ -29,7 +29,7 @@ h2 { font-size: 1.45rem; margin-top: 3rem; border-bottom: 1px solid #bbb; paddin
 h3 { font-size: 1.15rem; margin-top: 2rem; } article h3 { font-size: 1rem; margin: 0 0 .4rem; }
 a { color: #0b4a8f; } a:focus-visible, .scroll:focus-visible, .equation:focus-visible { outline: 2px solid #0b4a8f; }
 code { font-size: .88em; background: #f3f3f3; padding: 0 .2em; }
-pre { background: #f3f3f3; padding: .7rem; overflow-x: auto; }
+pre { background: #f3f3f3; padding: .7rem; white-space: pre-wrap; overflow-wrap: anywhere; }
 nav { border: 1px solid #ccc; padding: .5rem 1.2rem 1rem; font-size: .95rem; }
 nav h2 { margin: .5rem 0; border: 0; font-size: 1.05rem; } nav > ul { columns: 18rem 2; }
 nav > ul > li { break-inside: avoid; }
