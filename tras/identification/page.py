@@ -50,7 +50,7 @@ def write_page(identification, log, name, figures, exports, failures, formulas="
     put(f"# Identification of {_plain(name)}")
     caption = (
         "A free run over the whole test: measured, and simulated from the first measured samples under the inputs "
-        "alone. The legend has the fit: 100 % is perfect, 0 % no better than the mean. Beyond the frame nothing is drawn."
+        "alone. The legend has the fit: 100 % is perfect, 0 % no better than the mean."
     )
     run = picture("free_run", "Measured and simulated states over the whole test", caption)
     put("## In short", text(advice.verdict(identification)), run, _formulas(formulas), _chosen(identification))
@@ -97,9 +97,9 @@ def _chosen(identification):
     states = {"smoothed": "smoothed states", "as measured": "states as measured"}[identification.remarks["treatment"]]
     dictionary = f"{page.escape(words)} (<code>{page.escape(code)}</code>, {len(model.names_)} functions)"
     return (
-        f"<p>The model: {dictionary}{delays}, predictor <code>{page.escape(model.predictor)}</code>. What is tested was "
-        f"fitted to {model.pairs_} snapshot pairs of {states}, without the test; the files have the same model fitted to "
-        f"all {identification.delivered.pairs_}.</p>\n"
+        f"<p>The model: {dictionary}{delays}, predictor <code>{page.escape(model.predictor)}</code>. "
+        f"What is tested was fitted to {model.pairs_} snapshot pairs of {states}, without the test; the files have the "
+        f"same model fitted to all {identification.delivered.pairs_}.</p>\n"
     )
 
 

@@ -259,12 +259,12 @@ def thinned(pieces: Recording, most: float) -> Recording:
     return pieces[np.unique(np.linspace(0, len(pieces) - 1, count).astype(int))]
 
 
-def is_noisy(recording: Recording) -> bool:
-    """Whether the states have noise worth smoothing away."""
+def is_noisy(recording: Recording, share: float = _FINE) -> bool:
+    """Whether a state has more noise than this share of its range; by default, as much as is worth smoothing away."""
     if recording.lengths.max() < 10:
         return False
     span = np.ptp(np.concatenate([x for x, _ in recording]), axis=0)
-    return bool((noise_level(recording) > _FINE * span).any())
+    return bool((noise_level(recording) > share * span).any())
 
 
 def smoothed(recording: Recording, pairs: list[tuple[str, str]]) -> Recording:

@@ -29,6 +29,7 @@ SEARCHED = 20_000  # snapshot pairs that `search` looks at, at most
 DELAYS = (0, 1, 2, 4, 8, 16, 32)  # that `search` tries by default
 _CURVED = 8  # delays with a dictionary that is not linear, at most
 _CHANNELS = 60  # at most, earlier samples included, with a dictionary that is not linear
+_AVERAGED = 0.01  # noise, as a share of the range, from which on delays help though all velocities are measured
 _LINEAR_CHANNELS = 300  # at most, earlier samples included, with a linear one
 _FREE = 3000  # samples of a free run in the search, at most
 CLOSE = 1.1  # errors within ten percent count as equal: the model with fewer functions is then better
@@ -152,11 +153,10 @@ def search(
     """
     recording, pairs = treatments.recording, treatments.pairs
     names = ["smoothed"] if smoothing else ["as measured"]
-    noisy = is_noisy(recording)
-    if smoothing is None and noisy:
+    if smoothing is None and is_noisy(recording):
         names.append("smoothed")
     if delays is None:
-        delays = _delays(recording, complete=recording.n == 2 * len(pairs) and not noisy)
+        delays = _delays(recording, complete=recording.n == 2 * len(pairs) and not is_noisy(recording, _AVERAGED))
     latest, leads = max(delays), _leads(recording, lead)
     parts, windows, blocks, remarks = _parts(treatments, names, samples, latest)
     rows, keys = [], set()
@@ -167,7 +167,9 @@ def search(
                 keys.add((name, repr(model)))
                 options = {"delays": model.delays, "lead": model.lead, "predictor": model.predictor}
                 options["dictionary"] = label(model.dictionary)
-                scores = attempt(model, parts[name], windows, latest, blocks)
+                # Without delays no pair is lost by a cut, and the choice of a strength needs no longer roll-outs.
+                train = parts[name] if model.delays else parts[name].cut_all(samples)
+                scores = attempt(model, train, windows, latest, blocks)
                 rows.append({"round": number, "states": name, **options, **scores, "model": model})
         return pd.DataFrame(rows)
 
