@@ -181,6 +181,15 @@ def test_methods_stand_in_the_order_of_their_errors():
     assert panel.get_ylim()[0] > panel.get_ylim()[1]  # the first one is on top
 
 
+@pytest.mark.parametrize("share", [-5e-10, 5e-10])
+def test_the_last_digits_do_not_decide_which_method_is_drawn_first(share):
+    """Two methods with nearly one error keep the table's order, whichever is better by rounding."""
+    table = a_table().replace({"nrmse": {1.0: 2.0}})
+    table.loc[table["method"] == "B", "nrmse"] *= 1 + share
+    panel = figures_comparison.window_figure(table).axes[0]
+    assert [text.get_text() for text in panel.get_yticklabels()] == ["A", "DMDc", "B"]
+
+
 def test_a_point_is_hollow_where_windows_were_lost_and_a_word_where_none_is_left():
     table = a_table()
     table.loc[(table["method"] == "B") & (table["input"] == "torque"), "diverged"] = 3

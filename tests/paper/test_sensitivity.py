@@ -1,6 +1,7 @@
 """The classes of rows: what rounding does to sensitive rows is allowed, tampering is not."""
 
 import functools
+import io
 import json
 import re
 from pathlib import Path
@@ -10,6 +11,8 @@ import pandas as pd
 import pytest
 
 import tras
+from tras.explorer import explore, portraits
+from tras.explorer.choice import Choice
 from tras.paper import artefacts, classes, comparison, grid, sensitivity, verification
 from tras.recording import join
 from tras.workflow import provenance
@@ -199,6 +202,51 @@ def test_by_numbers_alone_the_smallest_tampering_is_the_tolerance_of_the_class(b
         write(frame)
         provenance.beside(TABLE).unlink()
         assert verify() == 1, row
+
+
+PORTRAIT = classes.exact(Path("figures/portrait.csv"))
+
+
+@pytest.fixture(scope="module")
+def portrait_of():
+    """A function: a seed of rounding in the data, or None -> the portrait's columns, with ten digits as in the file."""
+    chosen = Choice(input="torque", dictionary="gaussian", duration=100.0)
+    mechanical = chosen.replaced(dictionary="mechanical", size=8, field="coordinates")
+    train = explore.training(chosen)
+
+    def portrait(seed=None):
+        data = train if seed is None else sensitivity.nudged_recording(train, seed)
+        models = {choice.dictionary: explore.identify(choice, data) for choice in (chosen, mechanical)}
+        text = portraits.portrait(models, points=9).to_csv(index=False, float_format="%.10g")
+        return {name: column.to_numpy() for name, column in pd.read_csv(io.StringIO(text)).items()}
+
+    return portrait
+
+
+def portrait_share(ours, theirs):
+    return classes.compare_columns(ours, {name: (None, values) for name, values in theirs.items()}, PORTRAIT)[0]
+
+
+def test_rounding_in_the_data_is_allowed_in_an_identified_field(portrait_of):
+    """Also where it is nearly zero: on the axis of no rate, the derivative of the angle is what cancels."""
+    reference = portrait_of()
+    tiny = (reference["d_angle"] != 0) & (np.abs(reference["d_angle"]) < 1e-5)
+    assert tiny.any()
+    perturbed = [portrait_of(seed) for seed in range(5)]
+    assert 0 < max(portrait_share(ours, reference) for ours in perturbed) < 1
+    relative = [np.abs(ours["d_angle"][tiny] / reference["d_angle"][tiny] - 1).max() for ours in perturbed]
+    assert max(relative) > 100 * PORTRAIT.rtol  # so their own size is no measure
+
+
+def test_a_tampered_number_of_an_identified_field_fails(portrait_of):
+    """By 1e-7 of itself, which the rule for all tables lets pass, or by 1e-10 of the field, whichever is more."""
+    reference = portrait_of()
+    for name in ("d_angle", "d_rate", "error"):
+        largest = np.abs(reference[name]).max()
+        for row in range(0, len(reference[name]), 7):
+            changed = reference[name].copy()
+            changed[row] += max(1e-7 * abs(changed[row]), 1e-10 * largest)
+            assert portrait_share(reference | {name: changed}, reference) > 1, (name, row)
 
 
 def test_nudged_numbers_are_neighbours():
