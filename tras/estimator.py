@@ -16,6 +16,9 @@ from tras.recording import Recording, join
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+    from tras.residuals import Residuals
 
 
 @dataclass(frozen=True)
@@ -229,6 +232,98 @@ class Estimator(BaseEstimator):
         from tras.display import plots
 
         return plots.compare(recording, self, trajectory=trajectory, ax=ax)
+
+    def residuals(
+        self, recording: Recording, *, steps: int = 1, lags: int = 25, significance: float = 0.01
+    ) -> "Residuals":
+        """Errors of predictions over ``steps`` samples, and whether they still hold what a model could predict.
+
+        Tested are the correlation of each state's residuals with their own past (Ljung and Box, Biometrika 65, 1978,
+        297) and with the past of each input (L. Ljung, *System Identification*, 2nd ed., (16.67)), as MATLAB's
+        ``resid`` does. Predictions over several samples overlap: their residuals are correlated over ``steps - 1`` lags
+        whatever the model. These lags are not tested, and the bounds beyond allow for them (Bartlett's formula).
+
+        An alarm means that a better model of the same channels may exist, not that this one is of no use. These are
+        tests of correlation: what a model lacks in a product such as ``x u`` of a fast input leaves no trace in them.
+        On the data that were fitted there are fewer alarms than ``significance``.
+
+        Parameters
+        ----------
+        recording : Recording
+            Best one that was not fitted.
+        steps : int
+            Samples that each prediction reaches.
+        lags : int
+            Number of lags tested: ``steps`` to ``steps + lags - 1``.
+        significance : float
+            Share of false alarms, of all tests together, and the level of the bounds of a single lag.
+
+        Returns
+        -------
+        Residuals
+            `tras.residuals.Residuals`: ``white``, ``verdict``, ``table`` of the tests, ``correlations``, ``errors``,
+            ``plot()``.
+
+        Raises
+        ------
+        ValueError
+            If the model is not fitted, channels are missing, there are too few samples, or a prediction runs away.
+
+        Examples
+        --------
+        >>> import numpy as np, tras
+        >>> rng = np.random.default_rng(0)
+        >>> u, noise, x = rng.normal(size=(500, 1)), 0.1 * rng.normal(size=(500, 1)), np.zeros((500, 1))
+        >>> for k in range(499):
+        ...     x[k + 1] = 0.8 * x[k] + u[k] + noise[k]
+        >>> recording = tras.Recording([x[:250], x[250:]], [u[:250], u[250:]], 0.1)
+        >>> model = tras.KoopmanModel(tras.Monomials(1), "one_step").fit(recording[[0]])
+        >>> model.residuals(recording[[1]]).white
+        True
+        """
+        from tras import residuals
+
+        return residuals.residuals(self, recording, steps=steps, lags=lags, significance=significance)
+
+    def information_criteria(self, recording: Recording, parameters: int | None = None) -> "DataFrame":
+        """AIC, BIC and FPE from one-step residuals, per state and for all of them: the smaller, the better.
+
+        With N residuals, n states, p parameters and the loss ``V = det(E^T E / N)``: ``AIC = N ln V + N n (ln(2 pi) +
+        1) + 2 p``, ``BIC`` with ``p ln N`` in place of ``2 p``, ``FPE = V (1 + p/N) / (1 - p/N)`` (L. Ljung, *System
+        Identification*, 2nd ed., Sec. 16.4; MATLAB's ``aic`` and ``fpe``). Without the last term the first two are
+        minus twice the likelihood of Gaussian residuals at its maximum. Compare models on the same recording, with the
+        same delays or nearly so, for V is of the samples that a model predicts.
+
+        Parameters
+        ----------
+        recording : Recording
+            The one that the model was fitted to: what p adds is for having fitted it.
+        parameters : int, optional
+            p. Default: coefficients that are not zero, of all states together; a state has its share. Regularization
+            makes them count for less, which is not known here.
+
+        Returns
+        -------
+        pandas.DataFrame
+            ``state`` (the last row is "all"), ``samples, parameters, loss, AIC, BIC, FPE``.
+
+        Raises
+        ------
+        ValueError
+            If the model is not fitted or has no known number of parameters, or there are not more samples than these.
+
+        Examples
+        --------
+        >>> import numpy as np, tras
+        >>> x = np.random.default_rng(0).normal(size=(100, 1))
+        >>> recording = tras.Recording([x], dt=0.1)
+        >>> small, large = (tras.KoopmanModel(tras.Monomials(d), "one_step").fit(recording) for d in (1, 6))
+        >>> bool(small.information_criteria(recording)["BIC"][0] < large.information_criteria(recording)["BIC"][0])
+        True
+        """
+        from tras import residuals
+
+        return residuals.criteria(self, recording, parameters)
 
     def score(self, recording: Recording | Sequence[Recording], y: None = None) -> float:
         """``-mean(NRMSE)`` over the states, in percent, of the roll-outs; ``-inf`` if one of them diverges."""

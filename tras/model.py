@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 from sklearn.base import clone
 
-from tras import model_file, summary
+from tras import linearization, model_file, summary
 from tras.dictionaries.base import Dictionary
 from tras.estimator import Estimator
 from tras.hull import over_a_sample
@@ -266,6 +266,45 @@ class KoopmanModel(Estimator):
         self.require_fitted()
         return self._predictor.map(self)
 
+    def linearize(self, x: ArrayLike | None = None, u: ArrayLike | None = None) -> Any:
+        """The model about a point as a discrete linear system of small deviations, in physical units, for control.
+
+        ``dz[k+1] = A dz[k] + B du[k]``, ``dx[k] = C dz[k]``: A and B are the Jacobian of the prediction over one sample
+        while the input is held. At an equilibrium of ``vector_field`` that is the zero-order-hold discretisation of the
+        field's Jacobian; elsewhere that of the motion from the point, whose drift the deviations do not have. The
+        states are the model's, delayed samples of states and inputs behind them. A ``lifted_linear`` model is linear
+        everywhere: its states are the liftings but the constant, and the point has no effect.
+
+        Parameters
+        ----------
+        x : (n,) or (n',) array_like, optional
+            State; with delays also the newest sample first, then the earlier ones, then the earlier inputs. A state
+            alone is taken to have been there before. Default: the middle of the data's range.
+        u : (m,) array_like, optional
+            Input. Default: the middle of its range.
+
+        Returns
+        -------
+        control.StateSpace or StateSpace
+            With python-control the former, with names of states, inputs and outputs (a dot in a name becomes "_");
+            otherwise, and for a model without inputs, a named tuple ``(A, B, C, D, dt)``.
+
+        Raises
+        ------
+        ValueError
+            If the model is not fitted, on wrong shapes or values, or where its prediction runs away.
+
+        Examples
+        --------
+        >>> import numpy as np, tras
+        >>> x, u = np.random.default_rng(0).uniform(-1, 1, (2, 5, 20, 1))
+        >>> model = tras.KoopmanModel(tras.Monomials(2), "one_step").fit(tras.Recording(x, u, 0.1))
+        >>> system = model.linearize([0.2], [0.0])
+        >>> system.A.shape, system.B.shape, system.C.shape, system.dt
+        ((1, 1), (1, 1), (1, 1), 0.1)
+        """
+        return linearization.linearize(self, x, u)
+
     def report(self, recording: Recording | None = None) -> str:
         """The fit in a few lines of text; also how well it predicts a recording, best one that was not fitted."""
         self.require_fitted()
@@ -349,12 +388,16 @@ class KoopmanModel(Estimator):
             reason = "columns is 'states', so the other columns of K and its eigenvalues are not known"
             raise ValueError(f"{reason}; fit with columns='all'.")
 
+    def roll_out_scaled(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Scaled states (samples, n' or n, batch) from z (n', batch) under inputs (samples, m, batch)."""
+        return self._predictor.roll_out(self, z, u)
+
     def _simulate_scaled(self, x, u):
         d = self.delays
         past = [u[:, :d][:, ::-1].reshape(len(u), -1)] if self.channels_.delayed_inputs else []
         z = np.concatenate([x[:, ::-1].reshape(len(x), -1), *past], axis=1)
         z, u = np.ascontiguousarray(z), np.ascontiguousarray(u[:, d:])  # the layout decides the last bits of products
-        states = self._predictor.roll_out(self, z.T, u.transpose(1, 2, 0))
+        states = self.roll_out_scaled(z.T, u.transpose(1, 2, 0))
         return np.concatenate([x[:, :d], states[:, : len(self.state_names_)].transpose(2, 0, 1)], axis=1)
 
 

@@ -15,6 +15,7 @@ from sklearn.base import clone
 
 import tras
 from tras.export import common, symbols
+from tras.linearization import StateSpace
 
 CC = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 OCTAVE = shutil.which("octave-cli") or shutil.which("octave")
@@ -272,7 +273,7 @@ def test_state_space_simulates_what_the_model_simulates(case, fitted, experiment
     # Without python-control the same matrices.
     monkeypatch.setitem(sys.modules, "control", None)
     plain = tras.export.to_statespace(model)
-    assert isinstance(plain, common.StateSpace) and plain.dt == 0.01
+    assert isinstance(plain, StateSpace) and plain.dt == 0.01
     assert all(np.array_equal(getattr(plain, name), getattr(system, name)) for name in "ABCD")
 
 

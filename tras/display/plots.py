@@ -16,7 +16,7 @@ from matplotlib.textpath import TextPath
 
 from tras import metrics
 from tras.dictionaries.base import label
-from tras.plotting import LINEAR, MODEL, TRUTH, new_figure, plain, require, styled
+from tras.plotting import LINEAR, MODEL, TRUTH, WIDTH, new_figure, plain, require, styled
 from tras.workflow.arguments import short
 
 if TYPE_CHECKING:
@@ -210,6 +210,38 @@ def eigenvalue_figure(table: pd.DataFrame, ax=None) -> Figure:
     near.ticklabel_format(useOffset=False)
     if len(set(table["model"])) > 1:
         figure.legend(*whole.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure
+
+
+@styled()
+def residual_figure(table: pd.DataFrame, significance: float = 0.01) -> Figure:
+    """Correlations of residuals over the lags: a row per state, a column for itself and each input, at most six each.
+
+    The table has ``state, against, lag, correlation, bound, tested``. Lags that are not tested are grey; the band holds
+    all but ``significance`` of what a single lag shows by chance.
+    """
+    require(table, "table", ["state", "against", "lag", "correlation", "bound", "tested"])
+    states, others = list(dict.fromkeys(table["state"]))[:MOST], list(dict.fromkeys(table["against"]))[:MOST]
+    rows, columns = len(states), len(others)
+    figure, panels = new_figure(0.95 * rows + 0.75, rows, columns, sharex="col", sharey=True, squeeze=False)
+    figure.set_figwidth(WIDTH if columns <= 2 else WIDTH * columns / 2)
+    for state, row in zip(states, panels):
+        for other, panel in zip(others, row):
+            part = table[(table["state"] == state) & (table["against"] == other)]
+            lag, bound = part["lag"].to_numpy(), part["bound"].to_numpy()
+            panel.fill_between(lag, -bound, bound, color="0.88", linewidth=0, zorder=0)
+            for tested, colour in ((False, "0.6"), (True, MODEL["color"])):
+                some = part[part["tested"] == tested]
+                panel.vlines(some["lag"], 0, some["correlation"], color=colour, linewidth=1.0, linestyle="-")
+                out = some[some["correlation"].abs() > some["bound"]]
+                filled = {"color": colour, "linestyle": "none", "marker": "o", "markersize": 2.2}
+                panel.plot(out["lag"], out["correlation"], **filled)
+            panel.axhline(0, color="black", linewidth=0.5, linestyle="-")
+            if state == states[0]:
+                title = "with itself" if other == "itself" else f"with {plain(short(str(other), _NAME))}"
+                panel.set_title(title, fontsize=8, pad=3)
+        row[0].set_ylabel(plain(short(str(state), _NAME)))
+    figure.supxlabel(f"lag (samples); band: {100 * (1 - significance):g} % of one lag; dots outside; grey: not tested")
     return figure
 
 

@@ -7,11 +7,12 @@ import itertools
 import keyword
 import re
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 import tras
+from tras.linearization import StateSpace
 from tras.model import KoopmanModel
 
 # Names that no function or variable may have in Python, C99, MATLAB or Octave.
@@ -22,16 +23,6 @@ _RESERVED_WORDS = {
     *"while main catch classdef elseif end endfunction endif function global otherwise parfor persistent".split(),
     *"spmd until exp log sin cos tan sinh cosh tanh sqrt pi e i j".split(),
 }
-
-
-class StateSpace(NamedTuple):
-    """``z[k+1] = A z[k] + B u[k]``, ``x[k] = C z[k] + D u[k]``, sampled every ``dt`` seconds; see `to_statespace`."""
-
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    D: np.ndarray
-    dt: float
 
 
 def map_of(model):

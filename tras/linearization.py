@@ -1,0 +1,104 @@
+"""A model as a linear system about a point, for control: `tras.KoopmanModel.linearize`."""
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.differentiate import jacobian
+
+if TYPE_CHECKING:
+    from tras.model import KoopmanModel
+
+STEP = 0.02  # half-ranges: the largest step of the differences, halved until they settle
+HALVINGS = 8
+TOLERANCE = 1e-11  # relative
+
+
+class StateSpace(NamedTuple):
+    """``z[k+1] = A z[k] + B u[k]``, ``x[k] = C z[k] + D u[k]``, sampled every ``dt`` seconds: without control."""
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    dt: float
+
+
+def linearize(model: "KoopmanModel", x: ArrayLike | None = None, u: ArrayLike | None = None) -> Any:
+    """See `tras.KoopmanModel.linearize`."""
+    model.require_fitted()
+    if model.predictor == "lifted_linear":
+        return _of_lifting(model)
+    channels = model.channels_
+    x, u = _point(model, x, u)
+    z, v = channels.points(x, u)
+    slopes = _slopes_over_a_sample(model, z, v)
+    count, n = len(z), len(channels.state_names)
+    A = slopes[:, :count] * channels.z_scale[:, None] / channels.z_scale
+    B = slopes[:, count:] * channels.z_scale[:, None] / channels.u_scale
+    return _system(model, A, B, np.eye(n, count), channels.z_names)
+
+
+def _slopes_over_a_sample(model, z, v):
+    """Derivatives of the predicted state (n', n' + m) by state and input, in scaled channels.
+
+    Of the map that `simulate` repeats, with all that belongs to it: substeps, the hull, delayed samples that shift.
+    """
+    count = len(z)
+
+    def one_sample(point):
+        columns = point.reshape(len(point), -1)
+        held = np.stack([columns[count:]] * 2)  # roll_out wants an input at both ends
+        later = model.roll_out_scaled(columns[:count], held)[1]
+        return later.reshape(count, *point.shape[1:])
+
+    settings = {"initial_step": STEP, "maxiter": HALVINGS, "order": 8, "tolerances": {"rtol": TOLERANCE, "atol": 1e-13}}
+    result = jacobian(one_sample, np.concatenate([z, v]), **settings)
+    if not np.isfinite(result.df).all():
+        raise ValueError("the model's prediction from this point runs away; give x and u in the range of its data.")
+    return result.df
+
+
+def _of_lifting(model):
+    """``lifted_linear`` is linear in its liftings everywhere; without the constant, which no deviation has."""
+    scale, n = model.u_scale_, len(model.state_names_)
+    A, B = model.koopman_matrix.T[1:, 1:].copy(), model.B_[1:] / scale
+    C = np.zeros((n, len(A)))
+    C[np.arange(n), model.dictionary_.coordinates[:n] - 1] = model.x_scale_
+    return _system(model, A, B, C, [f"z{i}" for i in range(1, len(A) + 1)])
+
+
+def _system(model, A, B, C, states):
+    system = StateSpace(A, B, C, np.zeros((len(C), B.shape[1])), float(model.dt_))
+    if not B.shape[1]:  # python-control has no systems without inputs
+        return system
+    try:
+        import control
+    except ImportError:
+        return system
+    signals = [name.replace(".", "_") for name in (*model.state_names_, *model.input_names_)]  # it allows no dot
+    outputs, inputs = signals[: len(C)], signals[len(C) :]
+    if len(set(signals)) < len(signals):
+        outputs, inputs = [f"x{i + 1}" for i in range(len(C))], [f"u{i + 1}" for i in range(len(inputs))]
+    states = [name.replace(".", "_") for name in states]
+    states = states if len(set(states)) == len(states) else [f"z{i + 1}" for i in range(len(states))]
+    return control.ss(*system, inputs=inputs, outputs=outputs, states=states, name="linearized")
+
+
+def _point(model, x, u):
+    """State with its delayed samples, and input, in physical units; a state alone has been there before, too."""
+    channels = model.channels_
+    n, m, count = len(channels.state_names), len(channels.input_names), len(channels.z_names)
+    x = np.asarray(model.x_offset_ if x is None else x, dtype=float)
+    u = np.asarray(model.u_offset_ if u is None else u, dtype=float)
+    if u.shape != (m,):
+        raise ValueError(f"u has shape {u.shape}; give ({m},): {', '.join(channels.input_names) or 'no inputs'}.")
+    if x.shape == (n,) and count > n:
+        past = np.tile(u, model.delays * channels.delayed_inputs)
+        x = np.concatenate([np.tile(x, model.delays + 1), past])
+    if x.shape != (count,):
+        both = f"({n},) or ({count},)" if count > n else f"({n},)"
+        raise ValueError(f"x has shape {x.shape}; give {both}: {', '.join(channels.z_names)}.")
+    if not (np.isfinite(x).all() and np.isfinite(u).all()):
+        raise ValueError("x or u holds NaN or infinity; give a point in the range of the data.")
+    return x, u
