@@ -13,6 +13,26 @@ import tras
 ROOT = Path(__file__).parent.parent
 SLOW = {"cluster", "checkout", "browser"}  # fixtures that take seconds
 
+# Names, units, attributes and file names that try to become code, or something else than they seem, where they are
+# written: C, MATLAB, Python, LaTeX, Markdown, HTML, YAML, shells, make, terminals. "PWNED" is what they would do.
+HOSTILE = [
+    "<script>alert(1)<\\script>", "$\\frac{", "_a\nb", "&amp; \" onload='x'", "ü" * 60 + "\x07",
+    "*\\\n/ #error PWNED", "*/\n#error PWNED\n/*", "*/ #error PWNED /*", "/*", "*/*/", "ends in a star *",
+    "ends in a backslash \\", "*??/\n/\n#error PWNED", "ends in a trigraph ??/", "????/", "\\\r\n#error PWNED",
+    "%{", "%}\nerror PWNED\n%{", "...\nerror('PWNED')", "'); error('PWNED'); ('", '"\n#include "PWNED',
+    "#{\nerror PWNED\n#}", "\nraise SystemExit('PWNED')", '"""\nPWNED\n"""', "\rraise SystemExit('PWNED')",
+    "\x85#error PWNED", "\u2028#error PWNED", "\u2029#error PWNED", "\x0b#error PWNED", "\x0c#error PWNED",
+    "\\input{PWNED}", "\\end{aligned}\\write18{touch PWNED}", "^^M\\input{PWNED}", "100 % of {", "$x$ & y \\\\ z",
+    "$(touch PWNED)", "`touch PWNED`", "'; touch PWNED; '", "\n\ttouch PWNED", "$(shell touch PWNED)", "$a$$b", "#c",
+    "; touch PWNED;", "a | b > PWNED", "-rf", "--help", "=cmd|' -c calc'!A0", "%s %n {0.__class__} {name}",
+    "!!python!object!apply:os.system ['touch PWNED']", "a: b\n- c", "&a [*a, *a]", "- # x", "null", "yes", "~", "1e3",
+    "](javascript:PWNED)", "[x](y) ![z](PWNED)", "<!-- -->", "]]>", "# heading\n## heading", "| a | b |", "***",
+    "user\u202egpj.exe", "\u2066a\u2069b", "zero\u200bwidth\u2060\ufeff", "soft\u00adhyphen", "\u3164\uffa0\u115f",
+    "tag\U000e0041\U000e0100", "\u200f\u061c", "\x1b]0;title\x07\x1b[2J", "\x08\x08\x7f", "\x9b31m", "\ufffe\uffff",
+    "שלום", "e\u0301\u0302\u0303", "µ°Ω", "while", "exp", "3 a", "π", "  blanks  ", "\t", "é" * 300,
+]  # fmt: skip
+LONE_SURROGATES = ["\ud800", "pitch\udc80", "\udfff\ud800"]
+
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False, width=64)
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tras.workflow.arguments import short, well_formed
+
 if TYPE_CHECKING:
     import pandas
     import xarray
@@ -638,6 +640,7 @@ def _labels(role, letter, trajectories, names, units):
         for label in labels:
             if not isinstance(label, str):
                 raise ValueError(f"{role}_{kind} holds {label!r}; give strings.")
+            well_formed(f"{role}_{kind}", label)
     for name in names:
         if not _is_name(name):
             raise ValueError(
@@ -661,8 +664,6 @@ def _check_finite(names, trajectories):
 
 def _listed(names):
     """Names for one line: the first of many, and how many there are."""
-    from tras.workflow.arguments import short
-
     if len(names) <= 8:
         return ", ".join(map(short, names))
     return f"{', '.join(map(short, names[:6]))}, ... ({len(names)})"
@@ -704,6 +705,7 @@ def _attributes(attributes):
     for key in attributes:
         if not isinstance(key, str):
             raise ValueError(f"attributes has the key {key!r}; give strings as keys.")
+        well_formed("attributes", key)
     return {key: _as_json(key, value) for key, value in attributes.items()}
 
 
@@ -713,7 +715,9 @@ def _as_json(key, value):
     if isinstance(value, (list, tuple)):
         return [_as_json(key, item) for item in value]
     if isinstance(value, dict) and all(isinstance(name, str) for name in value):
-        return {name: _as_json(key, item) for name, item in value.items()}
+        return {_as_json(key, name): _as_json(key, item) for name, item in value.items()}
+    if isinstance(value, str):
+        well_formed(f"attribute {key!r}", value)
     if value is None or isinstance(value, (bool, str, int)) or (isinstance(value, float) and math.isfinite(value)):
         return value
     raise ValueError(

@@ -3,13 +3,13 @@
 import numpy as np
 
 from tras import generator, metrics
+from tras.workflow.arguments import one_line, visible
 
 
 def describe(model, recording=None):
     """A few lines of text on a fitted model; also how well it predicts a recording in its channels, if there is one."""
-    return "\n".join(
-        [*_fit(model), *_dynamics(model), *(_prediction(model, recording) if recording is not None else [])]
-    )
+    lines = [*_fit(model), *_dynamics(model), *(_prediction(model, recording) if recording is not None else [])]
+    return visible("\n".join(lines))
 
 
 def _fit(model):
@@ -44,7 +44,8 @@ def _dynamics(model):
             f"vector field by {model.field}, {model.substeps_} Runge-Kutta step(s) per sample",
         ]
     if hasattr(model, "field_disagreement_"):
-        apart = ", ".join(f"{name} {100 * d:.2g} %" for name, d in zip(model.state_names_, model.field_disagreement_))
+        names = map(one_line, model.state_names_)
+        apart = ", ".join(f"{name} {100 * d:.2g} %" for name, d in zip(names, model.field_disagreement_))
         lines.append(f"it differs from the field by coordinates by {apart} (root mean square)")
     if hasattr(model, "refinement_"):
         first, last = model.refinement_[[0, -1]]
@@ -65,7 +66,8 @@ def _prediction(model, recording):
     short = recording.cut(model.delays + 2)
     one = metrics.judge(short.states[:, -1:], np.asarray(model.predict(short))[:, -1:])
     many = metrics.judge(recording.states, model.predict(recording))
-    both = ", ".join(f"{name} {a:.3g} and {b:.3g} %" for name, a, b in zip(model.state_names_, one.nrmse, many.nrmse))
+    names = map(one_line, model.state_names_)
+    both = ", ".join(f"{name} {a:.3g} and {b:.3g} %" for name, a, b in zip(names, one.nrmse, many.nrmse))
     steps = f", {one.diverged} of {one.windows} single steps" if one.diverged else ""
     lost = f"{many.diverged} of {many.windows} trajectories{steps}"
     return [f"one-step and multi-step NRMSE: {both}", f"diverged: {lost}"]

@@ -379,7 +379,7 @@ def test_awkward_names_are_made_ones_that_compile(tmp_path):
     )
     true = model.simulate([0.1, 0.2], [[0.3], [0.3]])[1]
     text = tras.export.formulas(model, tolerance=0)
-    assert "Names: x3_angle is '3 angle *\\\\ (°)', while_ is 'while', exp_ is 'exp'." in text
+    assert "Names: x3_angle is '3 angle *<U+005C> (°)', while_ is 'while', exp_ is 'exp'." in text
     assert np.allclose(run(text, ["x3_angle", "while_", "exp_"], [[0.1, 0.2, 0.3]])[0], true, rtol=1e-12)
     latex = tras.export.formulas(model, tolerance=0, latex=True)
     assert r"{x_{3}}_{\mathrm{angle}}" in latex  # a second index needs braces

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tras.paper import readings
 from tras.paper.grid import FREQUENCY
-from tras.workflow.arguments import number, whole_number
+from tras.workflow.arguments import in_code, number, whole_number
 from tras.workflow.files import project_root, replacing
 from tras.workflow.parameters import parse_yaml
 
@@ -229,7 +229,7 @@ def parameter_text(choice: Choice, name: str, small: dict | None = None) -> str:
     import yaml
 
     body = yaml.safe_dump(parameter_sections(choice, small), sort_keys=False, allow_unicode=True)
-    return f"{FIRST_LINE}: make all PROFILE={name} runs it.\n\n{body}"
+    return f"{FIRST_LINE}: make all PROFILE={in_code(name)} runs it.\n\n{body}"
 
 
 def write_parameters(choice: Choice, name: str, folder: str | Path | None = None) -> Path:

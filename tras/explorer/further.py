@@ -3,8 +3,6 @@
 Each function takes an `Outcome` and returns a widget. `FURTHER` lists them by the labels of their buttons.
 """
 
-import html
-
 import ipywidgets
 
 from tras.dictionaries.monomials import Monomials
@@ -16,6 +14,7 @@ from tras.paper import operators
 from tras.paper.figures import animation
 from tras.paper.figures.robustness import eigenfunctions_figure
 from tras.plotting import png
+from tras.workflow import page
 
 RATE = 8.0  # frames per second of the film
 REACH = [0.6, 0.9, 1.2, 0.9]  # half-widths of the free swings at their release: rad, rad/s, rad, rad/s
@@ -38,12 +37,12 @@ def eigenfunctions(_: Outcome) -> ipywidgets.Widget:
     model = KoopmanModel(Monomials(5), regularization=None).fit(swung)
     picture = _picture(eigenfunctions_figure(operators.eigenfunction_table(model, judged, [REACH[0], REACH[2]])))
     rates = ", ".join(f"{rate:.3f}".replace("j", "i") for rate in operators.linearised_rates())
-    return ipywidgets.VBox([ipywidgets.HTML(f"the plant, linearised at rest (1/s): {html.escape(rates)}"), picture])
+    return ipywidgets.VBox([ipywidgets.HTML(f"the plant, linearised at rest (1/s): {page.escape(rates)}"), picture])
 
 
 def in_words(outcome: Outcome) -> ipywidgets.Widget:
     """The model's own report."""
-    return ipywidgets.HTML(f'<pre style="line-height:1.35">{html.escape(str(outcome.model.report()))}</pre>')
+    return ipywidgets.HTML(f'<pre style="line-height:1.35">{page.escape(str(outcome.model.report()))}</pre>')
 
 
 FURTHER = {

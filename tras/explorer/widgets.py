@@ -3,7 +3,6 @@
 A slider acts on release, a menu at once. A choice that gives no model greys out the last picture and says why.
 """
 
-import html
 import time
 
 import ipywidgets
@@ -14,6 +13,7 @@ from tras.explorer.explore import explore, numbers
 from tras.explorer.figures import outcome_figure
 from tras.explorer.further import FURTHER
 from tras.plotting import png
+from tras.workflow import page
 
 _LABELS = {
     "frequency_unit": "frequencies in", "sampling_time": "sampling (s)", "duration": "duration (s)",
@@ -221,4 +221,4 @@ def _control(name, value):
 
 
 def _note(text, colour="#404040"):
-    return f'<div role="status" style="color:{colour}; line-height:1.35; white-space:normal">{html.escape(text)}</div>'
+    return f'<div role="status" style="color:{colour}; line-height:1.35; white-space:normal">{page.escape(text)}</div>'

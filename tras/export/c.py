@@ -7,6 +7,7 @@ import numpy as np
 from tras.export import symbols
 from tras.export.common import file_and_name, map_of, origin, vectors
 from tras.model import KoopmanModel
+from tras.workflow.arguments import in_code
 from tras.workflow.files import replacing
 
 _SHIFTS = """\
@@ -133,7 +134,7 @@ def to_c(model: KoopmanModel, path: str | Path) -> list[Path]:
     """
     model.require_fitted()
     path, name = file_and_name(path, ".c")
-    notes = [_comment(line) for line in origin(model, path, name)]
+    notes = [f" {line}" for line in origin(model, path, name)]
     source = f'#include "{path.stem}.h"\n\n#include <math.h>\n\n{_source(model, name)}'
     files = {path.with_suffix(".h"): _header(model, name), path: source}
     for file, contents in files.items():
@@ -146,8 +147,8 @@ def _header(model, name):
     linear, m = model.predictor == "lifted_linear", len(model.input_names_)
     (x, u), guard = vectors(model), f"{name.upper()}_H"
     lines = [f"#ifndef {guard}", f"#define {guard}", "", "/*", " Vectors, in physical units:"]
-    lines += [_comment(f"x[{i}]: {channel}") for i, channel in enumerate(x)]
-    lines += [_comment(f"u[{i}]: {channel}") for i, channel in enumerate(u)]
+    lines += [f" x[{i}]: {channel}" for i, channel in enumerate(x)]
+    lines += [f" u[{i}]: {channel}" for i, channel in enumerate(u)]
     lines += [" No input: u is not read and may be NULL."] * (m == 0) + [" */"]
     lines += [f"#define {name.upper()}_STATES {len(x)}", f"#define {name.upper()}_INPUTS {m}"]
     lines += [f"#define {name.upper()}_LIFTED {len(model.names_)}"] * linear
@@ -196,7 +197,7 @@ def _source(model, name):
 
 def _lift(model):
     lines = symbols.code(symbols.functions(model.dictionary_), symbols.C)
-    names = [_comment(f"psi[{i}]: {function}") for i, function in enumerate(model.names_)]
+    names = [f" psi[{i}]: {in_code(function)}" for i, function in enumerate(model.names_)]
     head = ["/*", *names, " */", "static void lift(const double *z, double *psi)", "{"]
     return "\n".join([*head, *(f"    {line}" for line in lines), "}", "", ""])
 
@@ -225,8 +226,3 @@ def _array(name, values):
         return f"static const double {name}{size} = {{{rows[0]}}};\n"
     rows = ",\n".join(f"    {{{row}}}" for row in rows)
     return f"static const double {name}{size} = {{\n{rows}\n}};\n"
-
-
-def _comment(line):
-    """A line inside a comment, which it must neither close nor seem to open."""
-    return " " + line.replace("*/", "* /").replace("/*", "/ *")

@@ -14,6 +14,7 @@ import numpy as np
 import tras
 from tras.linearization import StateSpace
 from tras.model import KoopmanModel
+from tras.workflow.arguments import in_code
 
 # Names that no function or variable may have in Python, C99, MATLAB or Octave.
 _RESERVED_WORDS = {
@@ -59,15 +60,21 @@ def identifiers(names, avoid=()):
 
 
 def file_and_name(path, suffix):
-    """The path, and the name that the functions in the file begin with."""
+    """The path, and the name that the functions in the file begin with.
+
+    The generated files name each other, so the file's name must be text that is safe in them.
+    """
     path = Path(path)
+    if path.name != in_code(path.name) or set(path.name) & set("\"'"):
+        allowed = "without quotation marks, backslashes, '??' and characters that are not seen"
+        raise ValueError(f"path has the name {path.name!r}, which the generated files cannot hold; give one {allowed}.")
     if path.suffix != suffix:
         raise ValueError(f"path {path} ends in {path.suffix!r}; give one that ends in {suffix}, such as model{suffix}.")
     return path, identifier(path.stem)
 
 
 def origin(model, path, name):
-    """Lines of text: where a file comes from, and what its numbers mean."""
+    """Lines of text, safe in a comment: where a file comes from, and what its numbers mean."""
     units = [unit or "unit unknown" for unit in (*model.state_units_, *model.input_units_)]
     channels = [f"{channel} ({unit})" for channel, unit in zip((*model.state_names_, *model.input_names_), units)]
     n = len(model.state_names_)
@@ -85,14 +92,17 @@ def origin(model, path, name):
         )
     if path.stem != name:
         lines.append(f"Functions are called {name}_..., because {path.stem!r} is no name in the language.")
-    return [" ".join(line.split()) for line in lines]
+    return [in_code(line) for line in lines]
 
 
 def vectors(model):
-    """What the vectors x (the newest sample, then the delayed ones) and u hold, one text per entry: two lists."""
+    """What the vectors x (the newest sample, then the delayed ones) and u hold, one text per entry: two lists.
+
+    The texts are safe in a comment.
+    """
     units = [*model.state_units_ * (model.delays + 1), *model.input_units_ * model.delays]
     labels = (zip(model.channels_.z_names, units), zip(model.input_names_, model.input_units_))
-    return [[f"{name} ({unit})" if unit else name for name, unit in pairs] for pairs in labels]
+    return [[in_code(f"{name} ({unit})" if unit else name) for name, unit in pairs] for pairs in labels]
 
 
 def to_statespace(model: KoopmanModel) -> Any:

@@ -14,6 +14,7 @@ from tras.export.common import map_of
 from tras.export.expansion import Expansion
 from tras.model import KoopmanModel
 from tras.recording import Recording
+from tras.workflow.arguments import in_code
 
 _GREEK = (
     "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau upsilon phi chi psi "
@@ -139,12 +140,12 @@ def _notes(model, expansion, where):
     dictionary = f"dictionary {model.dictionary_!r}, N = {len(model.names_)}"
     notes = [f"{what} by tras {tras.__version__}; {dictionary}; physical units."]
     pairs = zip(expansion.names, expansion.channels)
-    meanings = ", ".join(f"{name} is {channel!r}" for name, channel in pairs if name != channel)
+    meanings = ", ".join(f"{name} is '{channel}'" for name, channel in pairs if name != channel)
     notes += [f"Names: {meanings}."] * bool(meanings)
     if model.hull_ is not None:
         notes.append("Holds for the training data; beyond them the model goes on linearly, which is not written here.")
     notes.append(f"Terms in the order of their size over {where}; numbers with {expansion.digits} digits.")
-    return [" ".join(note.split()) for note in notes]
+    return [in_code(note) for note in notes]
 
 
 class _Text:

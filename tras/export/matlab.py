@@ -171,11 +171,11 @@ def _functions(model, path, name, notes):
     entries += [f"u({i + 1}): {channel}" for i, channel in enumerate(u)]
     entries += ["u: no inputs; zeros(0, columns of x)"] * (m == 0)
     words = {"name": name, "dt": repr(model.dt_), "n": n, "after": n + 1}
-    load, files = _LOAD.format(file=path.name.replace("'", "''")), {}
+    load, files = _LOAD.format(file=path.name), {}
     for which, (signature, what, body) in functions.items():
         signature = signature.format(f"{name}_{which}")
         lines = [*notes, f"{signature}: {what.format(**words)}", *(entries if which != "read" else ())]
-        comments = "\n".join(f"% {' '.join(line.split())}" for line in lines)
+        comments = "\n".join(f"% {line}" for line in lines)
         text = f"function {signature}\n{comments}\n{load}{body.format(**words)}end\n"
         files[path.with_name(f"{name}_{which}.m")] = text
     first = next(iter(files))

@@ -21,8 +21,7 @@ import tempfile
 from pathlib import Path
 
 from tras.io.formats import FORMATS
-from tras.io.limits import one_line
-from tras.workflow.arguments import MissingExtraError
+from tras.workflow.arguments import MissingExtraError, visible, well_formed
 from tras.workflow.files import working_folder
 from tras.workflow.parameters import ParameterError, check_parameters, notebook_defaults
 from tras.workflow.runner import Interrupted, RunError, interruptible, run_notebook
@@ -46,19 +45,19 @@ def main(arguments: list[str] | None = None, program: str = MODULE) -> int:
         with interruptible():
             seconds = _run(out, parameters, root)
     except (ParameterError, MissingExtraError) as error:
-        print(error, file=sys.stderr)
+        print(visible(error), file=sys.stderr)
         return 2
     except RunError as error:
         plain = error.name in _SENTENCES
-        print(_advised(error.words, options, typed, program) if plain else error, file=sys.stderr)
+        print(visible(_advised(error.words, options, typed, program) if plain else error), file=sys.stderr)
         return 2 if plain else 1
     except OSError as error:
-        print(f"{error.filename}: {error.strerror}" if error.filename else error, file=sys.stderr)
+        print(visible(f"{error.filename}: {error.strerror}" if error.filename else error), file=sys.stderr)
         return 1
     except Interrupted as interrupt:
         print("identify was interrupted; no results were written.", file=sys.stderr)
         return 128 + interrupt.args[0]
-    print(f"{_inside(out, Path.cwd())}/report.html  {seconds:.0f} s  {_numbers_of_test(out)}")
+    print(visible(f"{_inside(out, Path.cwd())}/report.html  {seconds:.0f} s  {_numbers_of_test(out)}"))
     return 0
 
 
@@ -66,7 +65,7 @@ def _numbers_of_test(out):
     """The errors of the model in the test, per state, in a few words."""
     with open(out / "tables" / "metrics.csv", newline="", encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["prediction"] == "model"]
-    numbers = [f"{one_line(row['state'])} {float(row['nrmse']):.2g} % ({float(row['free']):.2g} %)" for row in rows[:4]]
+    numbers = [f"{row['state']} {float(row['nrmse']):.2g} % ({float(row['free']):.2g} %)" for row in rows[:4]]
     more = f" and {len(rows) - 4} more" if len(rows) > 4 else ""
     return f"NRMSE in the test (free run): {', '.join(numbers)}{more}"
 
@@ -83,7 +82,7 @@ def _advised(words, options, typed, program):
     for line in words.split("\n"):
         if line.startswith("  make identify RECORDING="):
             others = dict(typed, RECORDING="") | dict(_others(options))
-            recording = f"RECORDING={shlex.quote(typed['RECORDING'].replace('$', '$$'))}"
+            recording = f"RECORDING={shlex.quote(typed['RECORDING'])}"
             line = f"  make identify {recording}{line[line.index(' TIME=') :]}"
             line += "".join(f" {name}={shlex.quote(text)}" for name, text in others.items() if text)
             line = line if program == MODULE else _without_make(line, program)
@@ -96,7 +95,7 @@ def _advised(words, options, typed, program):
 
 def _without_make(line, program):
     """The line for make as one of ``program``, which takes the same options."""
-    recording, *others = (word.partition("=")[::2] for word in shlex.split(line.replace("$$", "$"))[2:])
+    recording, *others = (word.partition("=")[::2] for word in shlex.split(line)[2:])
     options = [f"--{name.lower()} {shlex.quote(text)}" for name, text in others]
     return " ".join([f"  {program}", shlex.quote(recording[1]), *options])
 
@@ -179,6 +178,8 @@ def _parameters(options, out, root):
     """The notebook's parameters; obvious mistakes are reported before a kernel starts."""
     files = [("RECORDING", path) for path in options.recording]
     files += [("TEST", path) for path in options.test if isinstance(path, Path)]
+    for what, path in [*files, ("OUT", out), ("ROLES", options.roles), ("the working folder", root)]:
+        well_formed(what, str(path), ParameterError)
     for what, path in [*files, *([("ROLES", options.roles)] if options.roles else [])]:
         if not path.is_file():
             fault = "is a folder" if path.is_dir() else "does not exist"

@@ -9,8 +9,8 @@ from tras import summary
 from tras.dictionaries.base import label
 from tras.identification import advice
 from tras.io.formats import remarks
-from tras.io.limits import one_line
 from tras.workflow import page
+from tras.workflow.arguments import one_line
 
 _TERMS = 30  # of formulas on the page
 _ROWS = 40  # of a table on the page; the files have all
@@ -86,8 +86,8 @@ def write_page(identification, log, name, figures, exports, failures, formulas="
 
 
 def _plain(name):
-    """A file's name, escaped for Markdown."""
-    return "".join(f"\\{letter}" if letter in "\\`*_{}[]<>()#+-.!|$" else letter for letter in name)
+    """A file's name on one line, escaped for Markdown."""
+    return "".join(f"\\{letter}" if letter in "\\`*_{}[]<>()#+-.!|$" else letter for letter in one_line(name))
 
 
 def _chosen(identification):

@@ -18,6 +18,7 @@ from tras.io import matlab, netcdf, parquet, sampling, several, text
 from tras.io.limits import FORMAT, MAX_FILE
 from tras.io.question import screen
 from tras.io.roles import Question, RecordingError, Roles, assign, mapping
+from tras.workflow.arguments import one_line, well_formed
 from tras.workflow.files import replacing
 
 if TYPE_CHECKING:
@@ -152,7 +153,7 @@ def _roles(source, header, spec, paths):
         with np.errstate(over="ignore", invalid="ignore"):  # of columns that hold infinity
             return assign(source.names, spec, source.units, source.dt, values)
     except Question as question:
-        remarks = "".join(f"\nNoticed: {remark}." for remark in source.remarks)
+        remarks = "".join(f"\nNoticed: {one_line(remark)}." for remark in source.remarks)
         raise RecordingError(screen(question, paths) + remarks) from None
 
 
@@ -193,6 +194,7 @@ def checksum(header: dict, trajectories) -> str:
 def known(path: str | Path) -> Path:
     """``path`` if its suffix is one of ours."""
     path = Path(path)
+    well_formed("path", str(path), RecordingError)
     if path.suffix.lower() not in FORMATS:
         raise RecordingError(f"path {path} ends in {path.suffix!r}; recordings are files of {', '.join(FORMATS)}.")
     return path

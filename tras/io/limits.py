@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tras.io.roles import RecordingError
+from tras.workflow import arguments
 
 FORMAT = "tras recording 2"  # what a file of ours says that it is
 MAX_VALUES = 10**8  # numbers of a recording: 800 MB
@@ -44,7 +45,7 @@ class Source(NamedTuple):
 
 def one_line(error: Exception) -> str:
     """The message of a library's error in one line."""
-    return " ".join(str(error).strip("'").split()) or type(error).__name__
+    return arguments.one_line(str(error).strip("'")) or type(error).__name__
 
 
 def check_size(rows: int, columns: int) -> None:

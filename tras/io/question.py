@@ -5,6 +5,7 @@ import io
 import shlex
 
 from tras.io.roles import Question, Roles
+from tras.workflow.arguments import one_line, short
 
 _LINES = 28  # of columns; the rest fits on a screen
 
@@ -27,7 +28,7 @@ def screen(question: Question, paths: list) -> str:
     In Python, roles={'time': 't', 'states': ['y'], 'inputs': ['u, V']}
     """
     rows = [
-        (number, f"{name[:40]} [{unit}]" if unit else name[:40], span, role)
+        (number, f"{short(name)} [{short(unit)}]" if unit else short(name), span, role)
         for number, name, unit, span, role in question.table
     ]
     hidden = len(rows) - _LINES
@@ -38,7 +39,7 @@ def screen(question: Question, paths: list) -> str:
     widths = [max(len(row[i]) for row in rows) for i in range(3)] if rows else []
     lines = ["  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths)) + f"  {row[3]}" for row in rows]
     lines += [f"  ... and {hidden} more"] if hidden > 0 else []
-    answer = question.answer
+    answer = _called(question.answer, question.table)
     sampling = "" if answer.time or question.args[0].find("no sampling time") < 0 else (
         f"There is no column of time: {'DT=1' if paths else 'dt'} counts samples, put your sampling time in s in its "
         "place.\n"
@@ -60,7 +61,15 @@ def command(paths: list, roles: Roles) -> str:
     words |= {"STATES": _listed(roles.states), "INPUTS": _listed(roles.inputs) or "none"}
     words |= {"TRIAL": _listed([roles.trial])} if roles.trial else {}
     words |= {"DT": f"{roles.dt:g}"} if roles.dt else {}
-    return "make identify " + " ".join(f"{name}={shlex.quote(word.replace('$', '$$'))}" for name, word in words.items())
+    return "make identify " + " ".join(f"{name}={shlex.quote(one_line(word))}" for name, word in words.items())
+
+
+def _called(roles, table):
+    """The roles, columns by number where the name on a screen is not the name: control signs, ends of lines."""
+    numbers = {name: number for number, name, *_ in table if name != one_line(name)}
+    columns = {role: numbers.get(getattr(roles, role), getattr(roles, role)) for role in ("time", "trial")}
+    columns |= {role: [numbers.get(name, name) for name in getattr(roles, role)] for role in ("states", "inputs")}
+    return roles._replace(**columns)
 
 
 def _listed(names):

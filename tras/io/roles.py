@@ -22,6 +22,8 @@ _KEYS = ("time", "states", "inputs", "trial", "dt", "units")
 class RecordingError(ValueError):
     """A file is not a recording, or lacks something that one needs: one sentence with its path and the place in it.
 
+    Characters of the file that nobody sees, or that turn the order of letters, stand in it as their numbers.
+
     Examples
     --------
     >>> import tempfile
@@ -37,12 +39,15 @@ class RecordingError(ValueError):
     log.csv:
     """
 
+    def __init__(self, message: str = ""):
+        super().__init__(arguments.visible(message))
+
 
 class Question(RecordingError):
     """Roles that are not plain: why, (column, range, guess) of each column, and `Roles` that would answer it."""
 
     def __init__(self, why: list, table: list, answer: "Roles"):
-        super().__init__("; ".join(why))
+        super().__init__(arguments.one_line("; ".join(why)))
         self.table, self.answer = table, answer
 
 
@@ -146,7 +151,8 @@ class _Assignment:
                 answer = answer._replace(states=[";".join(experiments[0])], inputs=[";".join(experiments[1])])
             raise Question(self.why, table, answer)
         left = [name for name in self.names if name not in (time, trial, *states, *inputs, *steps)]
-        return roles, self.guesses + ([f"left out: {', '.join(left)}"] if left and self.guesses else [])
+        guesses = self.guesses + ([f"left out: {', '.join(left)}"] if left and self.guesses else [])
+        return roles, list(map(arguments.one_line, guesses))
 
     # time and trials
 
@@ -383,7 +389,7 @@ def _yaml(path):
     except OSError as error:
         raise RecordingError(f"roles: {path} cannot be opened ({error.strerror}).") from error
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise RecordingError(f"roles: {path} is no YAML ({' '.join(str(error).split())}).") from error
+        raise RecordingError(f"roles: {path} is no YAML ({arguments.one_line(error)}).") from error
     if not isinstance(content, dict):
         raise RecordingError(f"roles: {path} holds no mapping; write lines such as `states: [phi, phidot]`.")
     return content
@@ -413,5 +419,5 @@ def _columns_with_a_role(names, spec):
 
 def _listing(names):
     more = f" and {len(names) - 30} more" if len(names) > 30 else ""
-    columns = ", ".join(name[:60] for name in names[:30])
+    columns = ", ".join(arguments.short(name, 60) for name in names[:30])
     return f"the file has the columns {columns}{more}" if names else "the file has no columns"

@@ -1,5 +1,8 @@
 """Checks of arguments: a wrong number, seed or name is refused in one sentence that says what to give instead.
 
+Text from outside, such as the name of a channel, is data: `visible`, `one_line` and `short` make it fit to be read,
+`in_code` fit for a generated file.
+
 The name of the project on a package index stands here too, for the sentence about a library that only an extra brings.
 """
 
@@ -7,8 +10,15 @@ import contextlib
 import difflib
 import math
 import numbers
+import re
+import unicodedata
 
 DISTRIBUTION = "tras-koopman"  # `tras` is another project there
+# Letters and marks that nobody sees, although Unicode counts them among what prints: fillers, joiners, selectors.
+_UNSEEN = re.compile(
+    "[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u2800\u3164\ufe00-\ufe0f\uffa0\U000e0100-\U000e01ef]"
+)
+_IN_CODE = re.compile(r"(?<=\*)(?=/)|(?<=/)(?=\*)|(?<=\?)(?=\?)")  # where comments of C end or begin, and trigraphs
 
 
 def number(name: str, value, low=-math.inf, high=math.inf, *, ends=True, give="", error=ValueError) -> None:
@@ -45,14 +55,64 @@ def seed(name: str, value, purpose: str) -> None:
         raise ValueError(f"{name} is {value!r}; {remedy}.")
 
 
-def short(text: str, most: int = 40) -> str:
-    """A name from a file for people to read: on one line, cut where it is long, without unprintable characters.
+def well_formed(name: str, text: str, error=ValueError) -> None:
+    """Refuse text with a lone surrogate, which no file can hold: ``text`` is what ``name`` holds.
 
-    >>> short("pitch" + chr(10) + "angle" + chr(7)), short("a" * 50, 10)
-    ('pitch angle�', 'aaaaaaaaa…')
+    >>> well_formed("state_names", "q" + chr(0xD800))
+    Traceback (most recent call last):
+        ...
+    ValueError: state_names holds 'q\\ud800', whose character number 2 is no character (a lone surrogate); rename it.
     """
-    line = "".join(letter if letter.isprintable() else "\ufffd" for letter in " ".join(str(text).split()))
+    try:
+        text.encode()
+    except UnicodeEncodeError as fault:
+        what = f"whose character number {fault.start + 1} is no character (a lone surrogate)"
+        raise error(f"{name} holds {text!r}, {what}; rename it.") from None
+
+
+def visible(text) -> str:
+    """Text from outside for people to read: what nobody sees, or what turns the order of letters, as its number.
+
+    Lines, tabs and blanks stay.
+
+    >>> visible("a" + chr(0x202E) + "b" + chr(7))
+    'a<U+202E>b<U+0007>'
+    """
+    text = str(text)
+    if not text.isprintable():
+        text = "".join(map(_seen, text))
+    return _UNSEEN.sub(_number, text)
+
+
+def one_line(text) -> str:
+    """`visible` text on one line, with single blanks between its words.
+
+    >>> one_line("pitch" + chr(10) + "  angle" + chr(7))
+    'pitch angle<U+0007>'
+    """
+    return visible(" ".join(str(text).split()))
+
+
+def short(text: str, most: int = 40) -> str:
+    """`one_line` of text, cut where it is long.
+
+    >>> short("a" * 50, 10)
+    'aaaaaaaaa…'
+    """
+    line = one_line(text)
     return line if len(line) <= most else f"{line[: most - 1]}…"
+
+
+def in_code(text) -> str:
+    """`one_line` of text for a comment of a generated file, which it can neither leave nor open.
+
+    It holds no backslash (before the end of a line it would join the next line to this one), no ``*/`` or ``/*``, and
+    no ``??``, which begins the backslash of old compilers.
+
+    >>> in_code("*" + chr(92) + chr(10) + "/ #error"), in_code("*/ call(); /*" + "?" * 2 + "/")
+    ('*<U+005C> / #error', '* / call(); / *? ?/')
+    """
+    return _IN_CODE.sub(" ", one_line(text).replace("\\", "<U+005C>"))
 
 
 def did_you_mean(name, known) -> str:
@@ -85,6 +145,16 @@ def extra(name: str, purpose: str):
     except ModuleNotFoundError as error:
         remedy = f"pip install '{DISTRIBUTION}[{name}]'"
         raise MissingExtraError(f"{purpose} needs {error.name}, which is not installed: {remedy}.") from None
+
+
+def _seen(letter):
+    is_seen = letter.isprintable() or letter in "\n\t" or unicodedata.category(letter) == "Zs"
+    return letter if is_seen else _number(letter)
+
+
+def _number(match):
+    """<U+202E> for that character, or for that match of one."""
+    return f"<U+{ord(match[0]):04X}>"
 
 
 def _range(kind, low, high, ends):

@@ -14,6 +14,8 @@ import mistune
 import yaml
 from mistune.plugins.math import math
 
+from tras.workflow.arguments import visible
+
 _LARGEST_SVG = 400_000  # bytes; a picture of many points is smaller as PNG
 _NUMBER = ' class="number"'
 
@@ -67,8 +69,8 @@ article p { margin: .35rem 0; }
 
 
 def escape(text) -> str:
-    """Text for an element or an attribute; characters that no XML may hold become a replacement sign."""
-    return html.escape(re.sub("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]", "\ufffd", str(text)))
+    """Text for an element or an attribute, without what nobody sees and no XML may hold (`arguments.visible`)."""
+    return html.escape(visible(text))
 
 
 def formula(tex: str, *, display: bool = False) -> str:
