@@ -190,8 +190,12 @@ def _check_rows(state):
     for name, shape in shapes.items():
         low = 1e-100 if name == "scale" else 0 if name in ("lengths", "square", "ridge", "examined") else -MAX_NUMBER
         require_numbers(name, state.get(name, ()), shape, low)
-    if "gram" in state and not (np.diag(state["T"]) != 0).all():
-        raise ValueError("its T is no basis")
+    if "gram" in state:
+        squares = np.diag(state["gram"])
+        if (squares < 0).any() or (state["gram"] ** 2 > 1.000001 * np.outer(squares, squares)).any():
+            raise ValueError("its gram does not hold products of rows")
+        if not (np.diag(state["T"]) != 0).all():
+            raise ValueError("its T is no basis")
     if not p or not q or set(state) - set(shapes) - {"rows", "bits", "exact", "waiting_regressors"}:
         raise ValueError("it holds arrays that are no part of a fit")
 

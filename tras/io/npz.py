@@ -131,12 +131,13 @@ def _header(file, entry, form):
     array = _array(file, entry)
     if array.dtype.kind != "U" or array.ndim:
         raise ValueError("its header is no text")
+    letters = array.reshape(1).view(np.uint32)
+    if letters.max() > 0x10FFFF or ((letters >= 0xD800) & (letters <= 0xDFFF)).any():
+        raise ValueError("its header is no text")
     try:
         header = json.loads(str(array), parse_constant=_constant)
     except RecursionError:
         raise ValueError("its header is nested too deep") from None
-    except UnicodeError:
-        raise ValueError("its header is no text") from None
     if not isinstance(header, dict) or not isinstance(header.get("format"), str):
         raise ValueError("its header names no format")
     if header["format"] != form:
