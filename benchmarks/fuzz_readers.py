@@ -1,6 +1,6 @@
-"""Damaged recordings: what the readers make of valid files with bytes flipped, cut off, doubled and mixed.
+"""Damaged files: what the readers make of valid ones with bytes flipped, cut off, doubled and mixed.
 
-    .venv/bin/python benchmarks/fuzz_readers.py [--inputs 100000] [--seed 1] [--only csv nc] [--csv counts.csv]
+    .venv/bin/python benchmarks/fuzz_readers.py [--inputs 100000] [--seed 1] [--only csv nc npz yaml] [--csv counts.csv]
 
 Each input is a valid file of one format, our own or as other tools write it, damaged in one to eight places. A child
 process reads one after the other: ten seconds are a hang, a dead child is a crash, anything but a `RecordingError` is a
@@ -8,11 +8,19 @@ traceback. A recording read without complaint with other numbers, names, units o
 "silent", an error, where the file has a checksum (.nc, .parquet and .mat that we wrote), else what cannot be noticed (a
 digit of a CSV, a number in another tool's .mat or .parquet). "unforeseen" counts damage that only the last net caught:
 errors of a library or of ours that are no sentence about the file. Exit status 1 if something was wrong.
+
+Models, checkpoints and YAML are read and used: a model reports and predicts, a fit goes on from its checkpoint,
+parameters are checked and the grid of a sweep is made. Only a ValueError of one line that names the file is a refusal.
+Of an .npz file every name comes twice: damaged as it is, where the zip file's checksums notice (so other content is
+"silent"), and "inside", where an array or the header is damaged and stored again with the right checksums; a number
+that is not finite is a traceback there. YAML also gets words that have hurt readers.
 """
 
 import argparse
 import collections
 import csv
+import io
+import json
 import multiprocessing
 import os
 import resource
@@ -20,6 +28,8 @@ import struct
 import sys
 import tempfile
 import time
+import warnings
+import zipfile
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -31,9 +41,42 @@ import pandas  # noqa: E402
 from scipy.io import savemat  # noqa: E402
 
 import tras  # noqa: E402
+from tras.io import roles as roles_of_files  # noqa: E402
+from tras.sweeps import command as sweeps  # noqa: E402
+from tras.sweeps.grid import points  # noqa: E402
+from tras.workflow import parameters  # noqa: E402
 
+ROOT = Path(__file__).resolve().parent.parent
 TEXTS = ("dat", "log", "tsv", "lvm", "txt")
 CHECKED = ("own.nc", "own.parquet", "own.mat")
+WORDS = (
+    b"&a ", b"*a", b"!!int ", b"!!float ", b"!!timestamp x", b"!!binary ", b"!!set {a, b}", b"!!omap [a: 1]",
+    b"<<: {a: 1}", b"[" * 50, b"{a: " * 30, b"- " * 30, b".nan", b"-.inf", b"1.0e+400", b"1e400", b"9" * 30,
+    b"9" * 5000, b"-1", b"0", b"0x" + b"f" * 40, b"0b_", b"1:" * 30 + b"1", b"2001-99-99", b"null", b"~", b"yes",
+    b"\xff", b"\xe4", b"\x00", b"\t", b"? [a]\n: 1\n", b"%YAML 9.9\n", b"---\n", b"...\n", b"|\n", b">9\n", b"'",
+    b'"', b"#", b": ", b"\r", b",",
+)  # fmt: skip
+NUMBERS = (
+    0,
+    -1,
+    1,
+    3000,
+    10**12,
+    2**63,
+    -(2**63),
+    1e400,
+    -1e400,
+    float("nan"),
+    1e300,
+    1e-320,
+    None,
+    True,
+    "",
+    "x",
+    [],
+    {},
+)
+CHUNKS = {"few": 60, "many": 4000}  # pairs, of the fits with checkpoints
 # Of files whose columns have no plain names.
 ROLES = {
     "to_file.mat": {"time": "ans1", "inputs": "ans2", "states": ["ans3", "ans4"]},
@@ -41,6 +84,7 @@ ROLES = {
     "scopes.mat": {"states": ["x1", "x2"], "inputs": "u"},
 }
 PATIENCE = 10  # s
+USED = (".npz", ".yaml")  # what is no recording
 WRONG = ("crash", "hang", "traceback")
 
 
@@ -79,6 +123,8 @@ def seeds(folder):
     (folder / "iddata.mat").write_bytes(_iddata(x, u))
     (folder / "timetable.mat").write_bytes(_timetable(t[0], x[0], u[0]))
     _text_tables(folder, np.column_stack([t[0], x[0], u[0]]))
+    _models(folder)
+    _yaml(folder)
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
@@ -114,6 +160,75 @@ def _text_tables(folder, table):
         "X_Value\tphi\tphidot\tu1",
     )
     write("bars.txt", " | ", "time | phi | phidot | u1", end=" | ", encoding="utf-16")
+
+
+def log(samples):
+    """A pendulum-like recording to fit and predict: two states, one input."""
+    rng = np.random.default_rng(1)
+    u = rng.uniform(-1, 1, (samples, 1))
+    x = np.zeros((samples, 2))
+    for k in range(samples - 1):
+        q, v = x[k]
+        x[k + 1] = q + 0.1 * v, v + 0.1 * (u[k, 0] - np.sin(q) - 0.5 * v)
+        x[k + 1] += 0.01 * rng.standard_normal(2)  # or delayed samples depend on each other
+    return tras.Recording([x], [u], 0.1)
+
+
+LOG = log(200)
+LONG = log(6000)  # more than a panel, so that the checkpoint holds products
+PARTS = {"few": LOG.cut_all(40), "many": LONG.cut_all(1000)}
+MODELS = {
+    "field": tras.KoopmanModel(tras.Mechanical(2)),
+    "rbf": tras.KoopmanModel(tras.GaussianRBF(3), "one_step", 1),
+    "linear": tras.KoopmanModel(tras.Union(tras.Monomials(2), tras.ThinPlate(2)), "lifted_linear"),
+    "product": tras.KoopmanModel(tras.Product(tras.Fourier(), tras.Exponentials()), "one_step", columns="states"),
+}
+
+
+def fitter():
+    return tras.KoopmanModel(tras.Monomials(1), "one_step", strength=1e-3)
+
+
+def _models(folder):
+    for name, model in MODELS.items():
+        model.fit(LOG).save(folder / f"model_{name}.npz")
+    for name, pieces in PARTS.items():
+        try:
+            fitter().fit(
+                _cut_off(pieces), chunk=60 if name == "few" else 4000, checkpoint=folder / f"checkpoint_{name}.npz"
+            )
+        except KeyboardInterrupt:
+            pass
+    for path in list(folder.glob("*.npz")):
+        (folder / f"{path.stem}_inside.npz").write_bytes(path.read_bytes())
+
+
+def _cut_off(pieces):
+    """Reads all for the survey, then stops before the last piece."""
+    readings = []
+
+    def read():
+        readings.append(1)
+        for k in range(len(pieces)):
+            if len(readings) > 1 and k == len(pieces) - 1:
+                raise KeyboardInterrupt
+            yield pieces[k]
+
+    return read
+
+
+def _yaml(folder):
+    (folder / "roles.yaml").write_text(
+        "time: stamp\noutputs: [b, a]\ninputs: c\nunits: {stamp: ms, a: rad, c: N m}\n", encoding="utf-8"
+    )
+    for name in ("paper", "smoke"):
+        (folder / f"params_{name}.yaml").write_bytes((ROOT / "params" / f"{name}.yaml").read_bytes()[:1500] + b"\n")
+    (folder / "sweep.yaml").write_text(
+        "recording: a.nc\nwindow: 6.0\ntrain_fraction: 0.8\nmodels:\n  dictionary:\n    - Mechanical\n"
+        "    - Monomials: {degree: [1, 2]}\n    - GaussianRBF: {n_centres: 5, seed: 3, width: 1.5}\n"
+        "    - Union: [Monomials, {ThinPlate: {seed: 1}}]\n  strength: [auto, 0.01]\n  delays: [0, 1]\n",
+        encoding="utf-8",
+    )
 
 
 def element(kind, content):
@@ -207,6 +322,102 @@ def _matlab73(path, cells):
             )
 
 
+def damaged_inside(content, rng):
+    """An .npz file of which the header or an array is damaged, its checksums made anew."""
+    with zipfile.ZipFile(io.BytesIO(content)) as file:
+        entries = {entry.filename: file.read(entry) for entry in file.infolist()}
+    for _ in range(rng.choice((1, 1, 2))):
+        name = list(entries)[int(rng.integers(len(entries)))] if rng.integers(3) else "header.npy"
+        kind, entry = rng.integers(10), entries.get(name)
+        if entry is None:
+            continue
+        if kind == 0:
+            del entries[name]
+        elif kind == 1:
+            entries[list(entries)[int(rng.integers(len(entries)))]] = entry
+        elif kind == 2:
+            entries[name] = damaged(entry, list(entries.values()), rng)
+        elif (array := _loaded(entry)) is None:
+            continue  # damaged before
+        elif name == "header.npy":
+            header = json.loads(str(array))
+            _spoil(header, rng)
+            text = json.dumps(header)
+            entries[name] = _npy(np.array("[" * 20_000 + text if rng.integers(50) == 0 else text))
+        else:
+            if kind == 3:
+                array = array.reshape(-1)[: int(rng.integers(array.size + 1))]
+            elif kind == 4:
+                array = np.stack([array] * 2)
+            elif kind == 5:
+                array = array.T.astype(rng.choice((np.float32, np.int64, np.int8, complex, bool, ">f8")))
+            elif array.size:
+                number = NUMBERS[int(rng.integers(12))]
+                array = array.astype(float) if isinstance(number, float) and rng.integers(4) else array.copy()
+                try:
+                    array.reshape(-1)[int(rng.integers(array.size))] = number
+                except (OverflowError, ValueError):
+                    pass
+            entries[name] = _npy(array)
+    method = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)[max(0, int(rng.integers(30)) - 27)]
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", method) as file:
+        for name, entry in entries.items():
+            file.writestr(zipfile.ZipInfo(name), entry, method)
+    return packed.getvalue() if rng.integers(10) else damaged(packed.getvalue(), [content], rng)
+
+
+def _loaded(entry):
+    try:
+        return np.load(io.BytesIO(entry))
+    except Exception:  # noqa: BLE001
+        return None
+
+
+def _npy(array):
+    packed = io.BytesIO()
+    np.save(packed, array)
+    return packed.getvalue()
+
+
+def _spoil(value, rng):
+    """Change a random entry of nested dicts and lists."""
+    while True:
+        keys = list(value) if isinstance(value, dict) else range(len(value))
+        if not keys:
+            return
+        key = list(keys)[int(rng.integers(len(keys)))]
+        if isinstance(value[key], (dict, list)) and rng.integers(4):
+            value = value[key]
+            continue
+        kind = rng.integers(6)
+        if kind == 0:
+            del value[key]
+        elif kind == 1 and isinstance(value[key], (dict, list)):
+            inner = value[key]
+            for _ in range(30):
+                inner = {**inner, "parts": [inner]} if isinstance(inner, dict) else [inner]
+            value[key] = inner
+        elif kind == 2 and isinstance(value, list):
+            value.extend(value * 3)
+        else:
+            value[key] = NUMBERS[int(rng.integers(len(NUMBERS)))]
+        return
+
+
+def worded(content, rng):
+    """YAML with hostile words in it, and other damage."""
+    for _ in range(int(rng.choice((1, 1, 2, 3)))):
+        place, word = int(rng.integers(len(content) + 1)), WORDS[int(rng.integers(len(WORDS)))]
+        if rng.integers(2):  # in place of a value
+            place = content.find(b": ", place) + 2
+            end = content.find(b"\n", place)
+            content = content[:place] + word + content[end:]
+        else:
+            content = content[:place] + word + content[place:]
+    return content
+
+
 def damaged(content, others, rng):
     """The content with one to eight wounds: bits and bytes changed, cut off, left out, doubled, from another file."""
     content = bytearray(content)
@@ -243,6 +454,64 @@ def content_of(recording):
     return repr(labels), [(x.tobytes(), u.tobytes()) for x, u in recording]
 
 
+def used(path, name):
+    """What comes of a file that is no recording: read, and used as a user does."""
+    if name.startswith("model"):
+        model = tras.load_model(path)
+        arrays = [value for value in vars(model).values() if isinstance(value, np.ndarray)]
+        if not all(np.isfinite(array).all() for array in arrays):
+            raise ArithmeticError("numbers that are not finite were accepted")
+        model.report()
+        states, inputs = len(model.state_names_), len(model.input_names_)
+        d = model.delays + 1
+        x0 = np.zeros((d, states)) if d > 1 else np.zeros(states)
+        model.simulate(x0, np.zeros((d + 20, inputs)))
+        labels = repr((model.get_params(), model.names_, model.channels_.state_names, model.dt_, model.pairs_))
+        return labels, [array.tobytes() for array in arrays]
+    if name.startswith("checkpoint"):
+        part = "few" if "few" in name else "many"
+        pieces = PARTS[part]
+        model = fitter().fit(
+            lambda: (pieces[k] for k in range(len(pieces))), chunk=CHUNKS[part], checkpoint=path, threads=1
+        )
+        if not np.isfinite(model.koopman_matrix).all():
+            raise ArithmeticError("numbers that are not finite were accepted")
+        return "", [model.koopman_matrix.tobytes()]
+    if name == "roles.yaml":
+        return repr(roles_of_files.mapping(path)), []
+    if name == "sweep.yaml":
+        description = sweeps.read(path)
+        try:
+            return repr((description, [point.identity() for point in points(description.models)])), []
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None  # `sweep` is told the grid, not the file
+    sections = []
+    for notebook, defaults in DEFAULTS.items():
+        values = parameters.read_params(path, notebook)
+        sections.append(parameters.check_parameters(values, defaults, str(path)))
+    return repr(sections), []
+
+
+DEFAULTS = {path: parameters.notebook_defaults(path) for path in sorted((ROOT / "notebooks").glob("0[15]*.ipynb"))}
+
+
+def verdict_on_use(path, name, truth):
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            content = used(path, name)
+    except ValueError as error:
+        sentence = str(error)
+        if "\n" in sentence or len(sentence) > 600:
+            return "traceback", f"no sentence: {sentence[:200]!r}"
+        named = path.name in sentence or sentence.startswith("roles")
+        foreseen = named and not isinstance(error, np.linalg.LinAlgError)
+        return ("refused", "") if foreseen else ("unforeseen", f"{type(error).__name__}: {sentence}"[:160])
+    except BaseException as error:  # noqa: BLE001
+        return "traceback", f"{type(error).__name__}: {error}"[:200]
+    return ("read, same content", "") if content == truth else ("other content", "")
+
+
 def verdict(path, roles, truth):
     """What reading ``path`` with ``roles`` comes to."""
     try:
@@ -264,9 +533,22 @@ def work(jobs, answers, folder, names, contents, truths):
     resource.setrlimit(resource.RLIMIT_AS, (6 * 2**30, 6 * 2**30))
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     for name, seed in iter(jobs.recv, None):
-        path = folder / f"damaged{Path(name).suffix}"
-        path.write_bytes(damaged(contents[name], contents_of_kind(contents, name), np.random.default_rng(seed)))
-        answers.send(verdict(path, ROLES.get(name), truths[name]))
+        path, rng = folder / f"damaged{Path(name).suffix}", np.random.default_rng(seed)
+        path.write_bytes(spoiled(name, contents, rng))
+        other = path.suffix in USED
+        answers.send(
+            verdict_on_use(path, name, truths[name]) if other else verdict(path, ROLES.get(name), truths[name])
+        )
+
+
+def spoiled(name, contents, rng):
+    """The file of this name, damaged."""
+    content = contents[name]
+    if "_inside" in name:
+        return damaged_inside(content, rng)
+    if name.endswith(".yaml") and rng.integers(3):
+        return worded(content, rng)
+    return damaged(content, contents_of_kind(contents, name), rng)
 
 
 def contents_of_kind(contents, name):
@@ -309,12 +591,25 @@ class Child:
         return verdict
 
 
+def truth(folder, name, content):
+    """What the undamaged file holds."""
+    if Path(name).suffix not in USED:
+        return content_of(tras.Recording.read(folder / name, ROLES.get(name)))
+    (folder / name).write_bytes(content)
+    return used(folder / name, name)
+
+
+def silent(name):
+    """Whether other content is an error: the file has checksums."""
+    return name in CHECKED or name.endswith(".npz") and "_inside" not in name
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--inputs", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after this time")
-    parser.add_argument("--only", nargs="*", default=["csv", "nc", "parquet", "mat", *TEXTS])
+    parser.add_argument("--only", nargs="*", default=["csv", "nc", "parquet", "mat", *TEXTS, "npz", "yaml"])
     parser.add_argument("--csv", type=Path, help="write the table here")
     options = parser.parse_args()
     began, counts, kinds = time.monotonic(), collections.defaultdict(collections.Counter), collections.Counter()
@@ -322,16 +617,16 @@ def main():
         originals = Path(folder) / "whole"
         originals.mkdir()
         contents = seeds(originals)
-        truths = {name: content_of(tras.Recording.read(originals / name, ROLES.get(name))) for name in contents}
+        truths = {name: truth(originals, name, contents[name]) for name in contents}
         names = [name for name in contents if Path(name).suffix[1:] in options.only]
         child = Child(Path(folder), names, contents, truths)
         for number in range(options.inputs):
             name = names[number % len(names)]
             verdict, words = child.ask((name, (options.seed, number)))
             counts[name][verdict] += 1
-            if words or (verdict == "other content" and name in CHECKED) or verdict in WRONG:
+            if words or (verdict == "other content" and silent(name)) or verdict in WRONG:
                 kinds[f"{name}: {verdict} {words}"] += 1
-                if verdict in WRONG or (verdict == "other content" and name in CHECKED):
+                if verdict in WRONG or (verdict == "other content" and silent(name)):
                     print(f"{name}, seed {options.seed} {number}: {verdict} {words}", flush=True)
             if time.monotonic() - began > options.seconds:
                 break
@@ -355,7 +650,7 @@ def report(counts):
     for name, found in sorted(counts.items()):
         row = {"file": name, "inputs": sum(found.values())}
         row |= {key: found[key] for key in ("refused", "unforeseen", "read, same content", "other content", *WRONG)}
-        rows.append({**row, "silent": found["other content"] if name in CHECKED else 0})
+        rows.append({**row, "silent": found["other content"] if silent(name) else 0})
     return pandas.DataFrame(rows)
 
 

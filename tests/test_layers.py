@@ -8,7 +8,7 @@ from conftest import ROOT
 from tras.workflow import staleness
 
 FLAT_FILES = 17  # at most; what a stranger reads in an hour
-EVERYWHERE = "workflow.arguments"  # checks of numbers and names
+EVERYWHERE = "workflow.arguments workflow.yaml_file"  # checks of numbers and names, parameters in files
 METHOD = "flat dictionaries solver io large display"
 LEAVES = "workflow.files workflow.provenance"  # files moved into place, versions
 BELOW_PAPER = f"{METHOD} twin_rotor identification control export sweeps workflow"

@@ -10,7 +10,7 @@ import pytest
 from conftest import linear_system, ode_recording
 
 import tras
-from tras import metrics
+from tras import generator, metrics
 from tras.regularization import STRENGTHS
 
 TORQUES, REFERENCES = ["u_phi", "u_psi"], ["phi_ref", "psi_ref"]
@@ -196,6 +196,26 @@ def test_partial_fit_of_many_small_recordings(halves):
     x, u = next(iter(model.channels_.scaled(small)))
     inside = np.hstack([x, u]).T
     assert model.hull_.nearest(inside) is inside  # the hull has room for what came later
+
+
+@pytest.mark.parametrize("failure", [ValueError("no logarithm"), KeyboardInterrupt()])
+def test_a_partial_fit_that_fails_changes_nothing(failure, halves, monkeypatch):
+    model = tras.KoopmanModel(tras.Monomials(2), strength=1e-3).fit(halves[0])
+    before, predicted = dict(vars(model)), model.predict(halves[1])
+
+    def fail(*arguments):
+        raise failure
+
+    monkeypatch.setattr(generator, "principal_logarithm", fail)  # K is the new one by then
+    with pytest.raises(type(failure)):
+        model.partial_fit(halves[1])
+    assert vars(model) == before
+    with pytest.raises(type(failure)):
+        model.fit(halves[1])
+    assert vars(model) == before and np.array_equal(model.predict(halves[1]), predicted)
+    monkeypatch.undo()
+    both = tras.KoopmanModel(tras.Monomials(2), strength=1e-3).fit(halves[0]).partial_fit(halves[1])
+    assert np.array_equal(model.partial_fit(halves[1]).koopman_matrix, both.koopman_matrix)
 
 
 def test_partial_fit_refuses_what_it_cannot(halves, tmp_path):

@@ -14,6 +14,7 @@ from sklearn.base import clone
 from tras import koopman
 from tras.estimator import Channels
 from tras.hull import Hull, outward_rates
+from tras.io.npz import MAX_NUMBER, require_numbers
 from tras.predictors import PREDICTORS
 from tras.recording import join
 from tras.regularization import regularized
@@ -82,6 +83,12 @@ class Fit:
         """Number of functions behind constant, states and inputs."""
         inputs = self.lifts_inputs * len(self.channels.input_names)
         return len(self.names) - 1 - len(self.dictionary.coordinates) - inputs
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Numbers of regressors and targets."""
+        states_alone = self.rows is koopman.state_rows
+        return len(self._regressor_names()), len(self.dictionary.coordinates) if states_alone else len(self.names)
 
     def absorb(self, scaled, threads=None, most=None):
         """All snapshot pairs of scaled trajectories, or the first ``most`` blocks of them."""
@@ -156,13 +163,47 @@ class Fit:
 
 
 def rows_and_hull(state, confined=None) -> tuple[StreamingLeastSquares | None, Hull | None]:
-    """Solver and hull of a `Fit.state`, None what is not in it; a damaged one raises what indexing and numpy raise."""
+    """Solver and hull of a `Fit.state`, None what is not in it; a ValueError if its arrays are not those of a state."""
     solver, hull = (
         {key.partition(".")[2]: value for key, value in state.items() if key.startswith(f"{kind}.")}
         for kind in ("solver", "hull")
     )
+    if solver:
+        _check_rows(solver)
     free = Hull.unconfined(len(hull.get("low", ())), confined)
     return StreamingLeastSquares.from_state(solver) if solver else None, Hull.restored(hull, free) if hull else None
+
+
+def _check_rows(state):
+    """A ValueError unless the arrays are those of `StreamingLeastSquares.state`."""
+    x, y = (
+        require_numbers(name, state.get(name, ()), (None, None)) for name in ("waiting_regressors", "waiting_targets")
+    )
+    (waiting, p), q = x.shape, y.shape[1]
+    shapes = {"waiting_targets": (waiting, q)}
+    if "gram" in state:
+        shapes |= {"gram": (p, p), "cross": (p, q), "lengths": (p,), "square": (q,), "examined": (), "T": (p, p)}
+        shapes |= {"scale": (p,), "ridge": (p,)}
+        for name, most in (("bits", 26), ("exact", p)):
+            _require_count(state, name, 0, most)
+    _require_count(state, "rows", max(1, waiting), 2**62)
+    for name, shape in shapes.items():
+        low = 1e-100 if name == "scale" else 0 if name in ("lengths", "square", "ridge", "examined") else -MAX_NUMBER
+        require_numbers(name, state.get(name, ()), shape, low)
+    if "gram" in state:
+        squares = np.diag(state["gram"])
+        if (squares < 0).any() or (state["gram"] ** 2 > 1.000001 * np.outer(squares, squares)).any():
+            raise ValueError("its gram does not hold products of rows")
+        if not (np.diag(state["T"]) != 0).all():
+            raise ValueError("its T is no basis")
+    if not p or not q or set(state) - set(shapes) - {"rows", "bits", "exact", "waiting_regressors"}:
+        raise ValueError("it holds arrays that are no part of a fit")
+
+
+def _require_count(state, name, low, most):
+    value = require_numbers(name, state.get(name, ()), (), low)
+    if value.dtype.kind not in "iu" or value > most:
+        raise ValueError(f"its {name} is {value}, not a whole number up to {most}")
 
 
 def hold_out(recording):

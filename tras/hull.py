@@ -3,6 +3,8 @@
 import numpy as np
 from scipy import linalg
 
+from tras.io.npz import require_numbers
+
 
 class Hull:
     """The box around the training data, along their principal axes, a quarter of the half-range wider on each side.
@@ -49,9 +51,13 @@ class Hull:
 
     @classmethod
     def restored(cls, arrays, free):
-        """The hull that had these `arrays`."""
-        hull = object.__new__(cls)
-        hull.centre, hull.axes, hull.low, hull.high = (arrays[name] for name in ("centre", "axes", "low", "high"))
+        """The hull that had these `arrays`; a ValueError if no hull can have them."""
+        hull, channels = object.__new__(cls), np.shape(arrays.get("centre", ()))[:1]
+        for name in ("centre", "axes", "low", "high"):
+            shape = (*channels, *channels) if name == "axes" else (*channels, 1)
+            setattr(hull, name, require_numbers(f"hull.{name}", arrays.get(name, ()), shape))
+        if (hull.low > hull.high).any() or np.abs(hull.axes.T @ hull.axes - np.eye(*channels)).max(initial=0.0) > 1e-6:
+            raise ValueError("its hull is no box along orthogonal axes")
         hull.free = free
         return hull.settle()
 

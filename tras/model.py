@@ -1,5 +1,7 @@
 """Identified models: fit, simulate, score, report (paper, Algorithm of Sec. IV and "Model Comparison")."""
 
+import contextlib
+import copy
 import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -169,10 +171,13 @@ class KoopmanModel(Estimator):
             (a ValueError) If K has no principal logarithm.
         """
         self.check_options()
-        return self._conclude(*streaming.absorb(self, recording, **streamed), streamed.get("threads"))
+        with self._unchanged_on_failure():
+            return self._conclude(*streaming.absorb(self, recording, **streamed), streamed.get("threads"))
 
     def partial_fit(self, recording: Recording, y: None = None) -> "KoopmanModel":
         """Go on with more data: K is then the one of all recordings, scales and centres those of the first.
+
+        If it fails, the model is what it was before, and so are the data that it goes on from.
 
         Raises
         ------
@@ -185,7 +190,21 @@ class KoopmanModel(Estimator):
             raise ValueError("field is 'least_squares', which needs all data at once; use field='coordinates', or fit.")
         if not hasattr(self, "_fit"):
             raise ValueError("this model comes from a file, which keeps what was found and not the data; fit anew.")
-        return self._conclude(*streaming.more(self._fit, self.channels_.matched(recording)))
+        with self._unchanged_on_failure():
+            return self._conclude(*streaming.more(self._fit, self.channels_.matched(recording)))
+
+    @contextlib.contextmanager
+    def _unchanged_on_failure(self):
+        """Around a fit: no K of one fit is left beside W of another, also when interrupted from the keyboard."""
+        model, rows = dict(vars(self)), copy.copy(getattr(self, "_fit", None))
+        try:
+            yield
+        except BaseException:
+            vars(self).clear()
+            vars(self).update(model)
+            if rows is not None:
+                vars(self._fit).update(vars(rows))
+            raise
 
     def _conclude(self, fit, scaled, held, threads=None):
         """The strength by ``held``, which was not absorbed yet, if there is any; then the solution of all rows."""

@@ -18,7 +18,7 @@ from tras.explorer.choice import Choice, ChoiceError
 from tras.explorer.further import FURTHER
 from tras.explorer.widgets import STALE, Explorer
 from tras.paper import readings
-from tras.workflow import parameters
+from tras.workflow import parameters, yaml_file
 
 SMALL = Choice(duration=60.0, input="torque", horizon=3.0)
 PUBLISHED = ROOT / "reference" / "data" / "metrics.csv"
@@ -232,7 +232,7 @@ any_choice = st.builds(
 def test_a_file_holds_the_whole_choice_and_every_notebook_accepts_its_part(example):
     smoke = yaml.safe_load((ROOT / "params" / "smoke.yaml").read_text())
     small = {name: smoke[name] for name in ("05_robustness", "07_comparison")}
-    content = parameters.parse_yaml(choice.parameter_text(example, "mine", small), "mine.yaml")
+    content = yaml_file.parse_yaml(choice.parameter_text(example, "mine", small), "mine.yaml")
     assert choice.choice_of(content["09_pictures"]["choice"]) == example
     for name, section in content.items():
         parameters.check_parameters(section, DEFAULTS[name], name)

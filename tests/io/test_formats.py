@@ -366,12 +366,12 @@ def test_roles_of_a_yaml_file(tmp_path):
     assert recording.state_units == ("", "rad") and recording.input_units == ("N m",)
     for content, words in (
         ("- a", "holds no mapping"),
-        ("a: [", "is no YAML"),
-        ("!!python/object/apply:os.system [ls]", "is no YAML"),
+        ("a: [", "is not valid YAML"),
+        ("!!python/object/apply:os.system [ls]", "is not valid YAML"),
     ):
         with pytest.raises(tras.RecordingError, match=words):
             R.read(path, write(roles, content))
-    with pytest.raises(tras.RecordingError, match="cannot be opened"):
+    with pytest.raises(tras.RecordingError, match="none.yaml cannot be read"):
         R.read(path, tmp_path / "none.yaml")
 
 

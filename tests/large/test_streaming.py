@@ -511,3 +511,86 @@ def test_memory_does_not_grow_with_the_data():
 
     peak(10)  # what is imported or cached on first use does not count
     assert peak(480) <= 1.1 * peak(240)  # up to 200 windows of a sample in both
+
+
+# ------------------------------------------------------------------------------------------- checkpoints that were made
+
+
+def altered(key, change):
+    def alter(header, arrays):
+        where = header if key in header else arrays
+        where[key] = change(where.get(key))
+
+    return alter
+
+
+def number(index, value):
+    def change(array):
+        array = array.astype(float)
+        array.flat[index] = value
+        return array
+
+    return change
+
+
+MADE = {
+    "NaN in the products": (altered("solver.gram", number(0, np.nan)), "its gram holds a number that is not finite"),
+    "other products": (altered("solver.gram", lambda a: a[1:]), "its gram has the shape"),
+    "a negative square": (altered("solver.gram", number(0, -9.0)), "its gram does not hold products of rows"),
+    "another basis": (altered("solver.T", lambda a: a * 0), "its T is no basis"),
+    "a scale of zero": (altered("solver.scale", number(0, 0.0)), "its scale holds a number"),
+    "bits without end": (altered("solver.bits", lambda a: np.array(10**9)), "its bits is 1000000000, not a whole"),
+    "no rows": (altered("solver.rows", lambda a: np.array(0)), "its rows holds a number"),
+    "rows that are none": (altered("solver.rows", lambda a: np.array(1.5)), "its rows is 1.5, not a whole number"),
+    "waiting rows": (altered("solver.waiting_targets", lambda a: np.zeros((1, 1))), "its waiting_targets has the"),
+    "more than rows": (altered("solver.os", lambda a: np.ones(1)), "it holds arrays that are no part of a fit"),
+    "more": (altered("os", lambda a: np.ones(1)), "it holds arrays that are no part of a fit"),
+    "a hull": (altered("hull.low", number(0, np.nan)), "its hull.low holds a number"),
+    "half a hull": (altered("hull.axes", lambda a: a[:1]), "its hull.axes has the shape"),
+    "ranges": (altered("survey.ranges", lambda a: a[:, ::-1]), "its survey.ranges is not .lowest, highest."),
+    "NaN in the sample": (altered("survey.states", number(0, np.nan)), "its survey.states holds a number"),
+    "windows": (altered("survey.where", lambda a: a.astype(float)), "its windows are not those of a survey"),
+    "long windows": (altered("survey.length", lambda a: np.array(10**12)), "its windows are not those of a survey"),
+    "the survey": (altered("survey.os", lambda a: np.ones(1)), "it lacks arrays of the survey, or has more"),
+    "the count": (altered("done", lambda a: -1), "its done is -1; give a whole number"),
+    "the sum": (altered("crc", lambda a: 2**40), "its crc is 1099511627776"),
+    "the total": (altered("total", lambda a: "all"), "its total is 'all'"),
+    "the labels": (altered("labels", lambda a: [0.01, "x"]), "its labels are no sampling time and names"),
+    "the end": (altered("finished", lambda a: 3), "its header is of another kind"),
+    "the model": (altered("model", lambda a: []), "its header is of another kind"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", MADE)
+def test_checkpoints_out_of_range_are_refused(what, long_recording, checkpoint):
+    alter, words = MADE[what]
+    with np.load(checkpoint) as file:
+        arrays = dict(file)
+    header = json.loads(str(arrays.pop("header")))
+    alter(header, arrays)
+    np.savez(checkpoint, header=np.array(json.dumps(header)), **arrays)
+    with pytest.raises(CheckpointError, match=f"checkpoint .*fit.npz cannot be read .{words}") as caught:
+        plain().fit(Cut(long_recording, None, None), chunk=CHUNK, checkpoint=checkpoint)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_checkpoint_of_other_rows_is_refused(long_recording, checkpoint, tmp_path):
+    """Sound, of the same name for the model, but with the rows of another one."""
+    other = tmp_path / "other.npz"
+    with pytest.raises(KeyboardInterrupt):
+        linear = tras.KoopmanModel(tras.Monomials(1), "one_step", strength=1e-3)
+        linear.fit(Cut(long_recording, 25, KeyboardInterrupt()), chunk=CHUNK, checkpoint=other)
+    with np.load(checkpoint) as mine, np.load(other) as theirs:
+        arrays = dict(theirs) | {"header": mine["header"]}
+    np.savez(checkpoint, **arrays)
+    with pytest.raises(CheckpointError, match="its rows are not those of this model"):
+        plain().fit(Cut(long_recording, None, None), chunk=CHUNK, checkpoint=checkpoint)
+
+
+def test_a_checkpoint_that_promises_other_data(long_recording, checkpoint):
+    with np.load(checkpoint) as file:
+        arrays = dict(file)
+    header = json.loads(str(arrays.pop("header"))) | {"total": 10**12}
+    np.savez(checkpoint, header=np.array(json.dumps(header)), **arrays)
+    with pytest.raises(CheckpointError, match="other data .there were 1000000000000 snapshot pairs, now there are"):
+        plain().fit(Cut(long_recording, None, None), chunk=CHUNK, checkpoint=checkpoint)

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import tras
 from tras import koopman
@@ -661,3 +662,18 @@ def test_rank_is_that_of_the_singular_values_on_either_side_of_the_shortcut():
         assert fit.rank == np.sum(singular > singular[0] * np.finfo(float).eps * 5000**0.5)
         ranks.append(fit.rank)
     assert ranks[0] == 6 and ranks[-1] == 5 and ranks == sorted(ranks, reverse=True)
+
+
+def test_users_of_one_blas_thread_that_overlap_restore_what_was_there_first():
+    def threads():
+        return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+    with threadpool_limits(2, user_api="blas"):
+        before = threads()
+        first, second = one_blas_thread(), one_blas_thread()
+        first.__enter__()
+        second.__enter__()
+        first.__exit__(None, None, None)
+        assert set(threads()) == {1}
+        second.__exit__(None, None, None)
+        assert threads() == before and max(before) == 2

@@ -17,7 +17,7 @@ from tras.sweeps import point as sweep_point
 from tras.sweeps import sweep as sweeps
 from tras.sweeps.figures import sweep_figure
 from tras.sweeps.grid import dictionaries, points
-from tras.workflow import cache, executors
+from tras.workflow import cache, executors, yaml_file
 
 GRID = [
     {
@@ -582,7 +582,7 @@ def test_roles_no_file_no_model_and_ctrl_c(recording, tmp_path, capsys, monkeypa
 def test_the_description_in_the_documentation_is_one():
     text = (ROOT / "docs" / "scale.md").read_text(encoding="utf-8")
     block = text.partition("```yaml\n")[2].partition("```")[0]
-    given = command._checked(command.Description, command.parse_yaml(block, "docs/scale.md"), "").arguments()
+    given = command._checked(command.Description, yaml_file.parse_yaml(block, "docs/scale.md"), "").arguments()
     assert given["recording"] == ["monday.nc", "tuesday.nc"] and given["held_out"] == ["friday.nc"]
     assert len(points(given["grid"])) == 4 * 2 * 2 * 2 * 2
     default = command.read(ROOT / "params" / "sweeps" / "dictionaries.yaml")

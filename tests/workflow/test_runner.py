@@ -96,7 +96,7 @@ def test_right_parameters_pass_with_the_defaults_types():
 
 
 CALLS = [
-    (["--params", "none.yaml"], r"parameter file none.yaml cannot be read"),
+    (["--params", "none.yaml"], r"none.yaml cannot be read"),
     (["--set", "seed"], r"--set seed is not understood: write --set name=value"),
     (["--set", "sed=3"], r"no parameter `sed`: did you mean 'seed'"),
     (["--set", "duration=1e3"], r"write 1.0e\+3 without quotes"),

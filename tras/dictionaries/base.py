@@ -23,6 +23,8 @@ class Dictionary(BaseEstimator):
 
     ``_learn(z)``
         Sets what depends on the data, in attributes that end in an underscore; these are what a file keeps.
+    ``_count()``
+        How many functions follow the head, from the same, before anything is built: a ValueError on a wrong parameter.
     ``_build()``
         Derives the rest from them and from ``n_states_``, ``n_inputs_``; returns how many functions follow the head.
     ``_fill(psi, z)``
@@ -114,6 +116,10 @@ class Dictionary(BaseEstimator):
 
     def _learn(self, z):
         """Nothing depends on the data unless a subclass says so."""
+
+    def count(self) -> int:
+        """The number of functions, known from what was learnt before anything is built or lifted."""
+        return 1 + self.n_states_ + self.n_inputs_ + self._count()
 
     def restore(self) -> "Dictionary":
         """Ready for use, from what was learnt: also after reading a file."""

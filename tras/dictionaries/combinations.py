@@ -37,6 +37,9 @@ class _Combination(Dictionary):
                 indices.append(j)
         self.kept_ = np.array(indices)
 
+    def _count(self):
+        return len(self.kept_) - 1 - self.n_states_ - self.n_inputs_
+
     def _build(self):
         for part in self.parts_:
             part.restore()

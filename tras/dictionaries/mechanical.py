@@ -1,6 +1,7 @@
 """A dictionary for mechanical systems whose inertia and gravity depend on a few positions only."""
 
 import itertools
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -59,6 +60,14 @@ class Mechanical(Dictionary):
         shape = ", ".join(channels[i] if i < len(channels) else str(i) for i in self.shape or [0])
         return f"mechanical, degree {self.degree} in {shape}"
 
+    def _count(self):
+        arguments.whole_number("degree", self.degree)
+        positions, velocities, shape = self._roles()
+        polynomials = math.comb(len(shape) + self.degree, len(shape))
+        pairs = math.comb(len(velocities) + 1, 2)
+        letters = self.n_inputs_ + len(velocities) + len(positions) - len(shape)
+        return polynomials - 1 - len(shape) + letters * (polynomials - 1) + pairs * polynomials
+
     def _build(self):
         arguments.whole_number("degree", self.degree)
         positions, velocities, shape = self._roles()
@@ -66,7 +75,7 @@ class Mechanical(Dictionary):
         others = [p for p in positions if p not in shape]
         words = [(), *((n + j,) for j in range(m)), *((v,) for v in velocities), *((p,) for p in others)]
         words += itertools.combinations_with_replacement(velocities, 2)
-        powers = [k for k in itertools.product(range(self.degree + 1), repeat=len(shape)) if sum(k) <= self.degree]
+        powers = _powers(len(shape), self.degree)
         # The head already holds the constant, every channel, and T1 of the shape.
         terms = [(k, w) for w in words for k in powers if sum(k) + len(w) > 1]
         self._shape, self._words = shape, words
@@ -94,8 +103,8 @@ class Mechanical(Dictionary):
                 "say which state is which, for example "
                 "positions=[0, 2], velocities=[1, 3]."
             )
-        if not shape or not set(shape) <= set(positions):
-            raise ValueError(f"shape {shape} must name positions, which are {positions}.")
+        if not shape or not set(shape) <= set(positions) or len(set(shape)) < len(shape):
+            raise ValueError(f"shape {shape} must name positions, which are {positions}, each once.")
         return positions, velocities, shape
 
     def _fill(self, psi, z):
@@ -132,6 +141,13 @@ class Mechanical(Dictionary):
             shape = [f"T{k}({channels[i]})" for k, i in zip(powers, self._shape) if k]
             names.append(" ".join(shape + [channels[i] for i in self._words[word]]))
         return names
+
+
+def _powers(channels, degree):
+    """Exponents of total degree at most ``degree``, in lexicographic order; others are never made."""
+    if channels == 0:
+        return [()]
+    return [(first, *rest) for first in range(degree + 1) for rest in _powers(channels - 1, degree - first)]
 
 
 def _chebyshev(s, degree):

@@ -1,6 +1,7 @@
 """All products of states and inputs up to a total degree (paper, after (12))."""
 
 import itertools
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -35,6 +36,11 @@ class Monomials(Dictionary):
 
     def words(self, channels: Sequence[str]) -> str:
         return "linear" if self.degree == 1 else f"monomials, degree {self.degree}"
+
+    def _count(self):
+        arguments.whole_number("degree", self.degree)
+        channels = self.n_states_ + self.n_inputs_
+        return math.comb(channels + self.degree, channels) - 1 - channels
 
     def _build(self):
         arguments.whole_number("degree", self.degree)

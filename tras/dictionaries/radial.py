@@ -55,6 +55,9 @@ class Radial(Dictionary):
         points = z.T[rng.choice(z.shape[1], self.n_centres, replace=False)]
         return points if self.centres == "data" else _kmeans(z.T, points)
 
+    def _count(self):
+        return len(self.centres_)
+
     def _build(self):
         square = self.width_**2
         level = np.sum(self.centres_**2, axis=1, keepdims=True)

@@ -1,5 +1,7 @@
 """Functions of linear combinations of the channels: exponentials (named by the paper), cosines and sines."""
 
+import math
+
 import numpy as np
 
 from tras.dictionaries.base import POSITIVE, Dictionary
@@ -26,6 +28,11 @@ class Exponentials(Dictionary):
     def __init__(self, order: int = 1, rate: float = 1.0):
         self.order = order
         self.rate = rate
+
+    def _count(self):
+        arguments.whole_number("order", self.order)
+        arguments.number("rate", self.rate, 0, ends=False, give=POSITIVE)
+        return _lattice_size(self.n_states_ + self.n_inputs_, self.order) - 1
 
     def _build(self):
         arguments.whole_number("order", self.order)
@@ -65,6 +72,11 @@ class Fourier(Dictionary):
         self.order = order
         self.period = period
 
+    def _count(self):
+        arguments.whole_number("order", self.order)
+        arguments.number("period", self.period, 0, ends=False, give=POSITIVE)
+        return _lattice_size(self.n_states_ + self.n_inputs_, self.order) - 1
+
     def _build(self):
         arguments.whole_number("order", self.order)
         arguments.number("period", self.period, 0, ends=False, give=POSITIVE)
@@ -96,6 +108,11 @@ def _lattice(channels, order):
     if channels == 0:
         return [()]
     return [(first, *rest) for first in range(-order, order + 1) for rest in _lattice(channels - 1, order - abs(first))]
+
+
+def _lattice_size(channels, order):
+    """How many vectors `_lattice` has: i of the channels are not zero, each with a sign."""
+    return sum(2**i * math.comb(channels, i) * math.comb(order, i) for i in range(min(channels, order) + 1))
 
 
 def _combination(k, channels):

@@ -15,7 +15,7 @@ from tras.paper import readings
 from tras.paper.grid import FREQUENCY
 from tras.workflow.arguments import in_code, number, whole_number
 from tras.workflow.files import project_root, replacing
-from tras.workflow.parameters import parse_yaml
+from tras.workflow.yaml_file import read_yaml
 
 FIRST_LINE = "# Written by the explorer (notebooks/explore.ipynb)"
 RESERVED = ("paper", "smoke")  # profiles of the project itself
@@ -248,7 +248,7 @@ def write_parameters(choice: Choice, name: str, folder: str | Path | None = None
     if name in RESERVED or (path.exists() and not path.read_text(encoding="utf-8").startswith(FIRST_LINE)):
         raise ChoiceError(f"NAME is {name!r}, and {path.name} is not the explorer's: choose another name.")
     smoke = project_root() / "params" / "smoke.yaml"
-    parameters = parse_yaml(smoke.read_text(encoding="utf-8"), smoke)
+    parameters = read_yaml(smoke)
     small = {study: parameters[study] for study in ("05_robustness", "06_readings", "07_comparison")}
     with replacing(path) as temporary:
         temporary.write_text(parameter_text(choice, name, small), encoding="utf-8")

@@ -34,6 +34,7 @@ _LINEAR_CHANNELS = 300  # at most, earlier samples included, with a linear one
 _FREE = 3000  # samples of a free run in the search, at most
 CLOSE = 1.1  # errors within ten percent count as equal: the model with fewer functions is then better
 _ROUNDING = 1e-10  # half-ranges; smaller errors are all the same
+_HOPEFUL = 1.3  # errors in one step, over the least, up to which a vector field with the same dictionary is tried
 _SPREAD = 1.2  # errors beyond it never do, however much they vary from window to window
 _DRAWS = 200  # of windows, for that spread
 
@@ -192,12 +193,24 @@ def search(
         leaders.append(best(curved, CLOSE))
     settings = [(row["states"], int(row["delays"]), int(row["lead"])) for row in leaders]
     settings.append((settings[0][0], delays[0], settings[0][2]))
+    settings = list(dict.fromkeys(settings))
     models = [
-        (name, model)
-        for name, d, k in dict.fromkeys(settings)
-        for model in _second_round(parts[name], d, k, pairs, predictor)
+        (name, KoopmanModel(dictionary, first, d, lead=k))
+        for name, d, k in settings
+        for dictionary in _dictionaries_of(parts[name], d, pairs, first)
     ]
     table = attempt_all(2, "dictionaries", models)
+    if predictor is None:  # a field is integrated: several evaluations per sample, so only where one step does well
+        least = table["error"].min()
+        good = {(row["states"], label(row["model"])) for _, row in table.iterrows() if row["error"] <= _HOPEFUL * least}
+        models = [
+            (name, KoopmanModel(dictionary, "vector_field", d, lead=k))
+            for name, d, k in settings
+            if not d or not recording.m  # with delays a vector field could not know the earlier inputs
+            for dictionary in _dictionaries_of(parts[name], d, pairs, "vector_field")
+            if isinstance(dictionary, Mechanical) or (name, label(KoopmanModel(dictionary, "one_step", d))) in good
+        ]
+        table = attempt_all(2, "vector fields", models)
     table["chosen"] = table.index == best(table, CLOSE).name
     return table, remarks
 
@@ -362,22 +375,17 @@ def _curved(train, delays, predictor):
     return [Monomials(3) if cubic <= min(150, most) else GaussianRBF(60, width="auto", centres="kmeans")]
 
 
-def _second_round(train, delays, lead, pairs, predictor):
-    """Models with every dictionary and predictor worth trying, the smallest first."""
-    models = []
-    # With delays a vector field could not know the earlier inputs.
-    predictors = ["one_step"] if delays and train.m else ["vector_field", "one_step"]
-    for each in [predictor] if predictor else predictors:
-        # A field is evaluated several times per sample.
-        most = _most(train) if each != "vector_field" else min(150, _most(train))
-        dictionaries = _dictionaries(train, delays, each, (1, 2, 3, 4, 5), (30, 100, 250), most)
-        if not delays and each != "lifted_linear" and train.n == 2 * len(pairs):
-            # Each position in turn as the one that inertia and gravity depend on.
-            positions, velocities = ([train.state_names.index(name) for name in column] for column in zip(*pairs))
-            shapes = [(degree, [shape]) for degree in (3, 8) for shape in positions[:4]]
-            dictionaries += [Mechanical(degree, positions, velocities, shape) for degree, shape in shapes]
-        models += [KoopmanModel(dictionary, each, delays, lead=lead) for dictionary in dictionaries]
-    return models
+def _dictionaries_of(train, delays, pairs, predictor):
+    """Every dictionary worth trying, the smallest first."""
+    # A field is evaluated several times per sample.
+    most = _most(train) if predictor != "vector_field" else min(150, _most(train))
+    dictionaries = _dictionaries(train, delays, predictor, (1, 2, 3, 4, 5), (30, 100, 250), most)
+    if not delays and predictor != "lifted_linear" and train.n == 2 * len(pairs):
+        # Each position in turn as the one that inertia and gravity depend on.
+        positions, velocities = ([train.state_names.index(name) for name in column] for column in zip(*pairs))
+        shapes = [(degree, [shape]) for degree in (3, 8) for shape in positions[:4]]
+        dictionaries += [Mechanical(degree, positions, velocities, shape) for degree, shape in shapes]
+    return dictionaries
 
 
 def _dictionaries(recording, delays, predictor, degrees, centres, most):

@@ -15,6 +15,7 @@ import numpy as np
 from tras.io import clock, evidence
 from tras.io.words import UNITS_OF_TIME, guess_role, says_nothing, step_of, unit_in
 from tras.workflow import arguments
+from tras.workflow.yaml_file import read_yaml
 
 _KEYS = ("time", "states", "inputs", "trial", "dt", "units")
 
@@ -366,15 +367,17 @@ def mapping(roles) -> dict:
         spec["states"] = [*_list("states", spec.get("states")), *_list("outputs", spec.pop("outputs"))]
     for key, value in spec.items():
         if key not in _KEYS:
-            raise RecordingError(f"roles has the key {key!r}; it knows {', '.join(_KEYS)} and outputs.")
+            raise RecordingError(
+                f"roles has the key {arguments.short(repr(key), 60)}; it knows {', '.join(_KEYS)} and outputs."
+            )
         if key in ("states", "inputs"):
             spec[key] = _list(key, value)
         elif key in ("time", "trial") and not (value is None or isinstance(value, str)):
-            raise RecordingError(f"roles: {key} is {value!r}; give the name of one column.")
+            raise RecordingError(f"roles: {key} is {arguments.short(repr(value), 60)}; give the name of one column.")
         elif key == "units" and not (
             isinstance(value, dict) and all(isinstance(word, str) for word in (*value, *value.values()))
         ):
-            raise RecordingError(f"roles: units is {value!r}; give name: unit for each.")
+            raise RecordingError(f"roles: units is {arguments.short(repr(value), 60)}; give name: unit for each.")
         elif key == "dt":
             give = "the sampling time in s, a positive number"
             arguments.number("roles: dt", value, 0, ends=False, give=give, error=RecordingError)
@@ -382,14 +385,10 @@ def mapping(roles) -> dict:
 
 
 def _yaml(path):
-    import yaml
-
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise RecordingError(f"roles: {path} cannot be opened ({error.strerror}).") from error
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise RecordingError(f"roles: {path} is no YAML ({arguments.one_line(error)}).") from error
+        content = read_yaml(path, RecordingError)
+    except RecordingError as error:
+        raise RecordingError(f"roles: {error}") from None
     if not isinstance(content, dict):
         raise RecordingError(f"roles: {path} holds no mapping; write lines such as `states: [phi, phidot]`.")
     return content
@@ -398,7 +397,7 @@ def _yaml(path):
 def _list(key, value):
     value = [value] if isinstance(value, str) else [] if value is None else value
     if not isinstance(value, (list, tuple)) or not all(isinstance(name, str) for name in value):
-        raise RecordingError(f"roles: {key} is {value!r}; give a list of names.")
+        raise RecordingError(f"roles: {key} is {arguments.short(repr(value), 60)}; give a list of names.")
     return list(value)
 
 

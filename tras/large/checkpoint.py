@@ -11,7 +11,8 @@ import numpy as np
 
 from tras.dictionaries.base import spelled
 from tras.fitting import rows_and_hull
-from tras.model_file import UNREADABLE, read_npz
+from tras.io.npz import read_npz, require_numbers
+from tras.workflow import arguments
 from tras.workflow.files import replacing
 
 _FORMAT = "tras checkpoint 2"
@@ -35,9 +36,13 @@ def read_checkpoint(path, model, chunk: int) -> tuple[dict, dict, dict] | None:
         return None
     try:
         header, arrays = read_npz(path, _FORMAT)
+        _check_header(header)
         survey = {key.partition(".")[2]: value for key, value in arrays.items() if key.startswith("survey.")}
         state = {key: value for key, value in arrays.items() if not key.startswith("survey.")}
+        if {key.partition(".")[0] for key in state} - {"solver", "hull"}:
+            raise ValueError("it holds arrays that are no part of a fit")
         rows_and_hull(state)  # a damaged one is found here, not in the middle of a fit
+        _check_survey(survey, *map(len, header["labels"][1:]))
         parameters = json.loads(json.dumps(_described(model)))
         for kind, name, before, now in (
             ("a fit with another option", "chunk", header["chunk"], chunk),
@@ -50,9 +55,49 @@ def read_checkpoint(path, model, chunk: int) -> tuple[dict, dict, dict] | None:
                 )
     except CheckpointError:
         raise
-    except UNREADABLE as error:
-        raise CheckpointError(f"checkpoint {path} cannot be read ({error}); delete it to begin anew.") from error
+    except (ValueError, OSError, MemoryError) as error:
+        reason = " ".join(str(error).split()) or "its arrays do not fit in memory"
+        raise CheckpointError(f"checkpoint {path} cannot be read ({reason}); delete it to begin anew.") from error
     return header, survey, state
+
+
+def _check_header(header):
+    """A ValueError unless the fields are there and in range."""
+    missing = [key for key in ("labels", "total", "chunk", "done", "crc", "finished", "model") if key not in header]
+    if missing:
+        raise ValueError(f"its header lacks {missing[0]!r}")
+    for key, most in (("chunk", 2**62), ("done", 2**62), ("crc", 2**32 - 1)):
+        arguments.whole_number(f"its {key}", header[key], 0, most)
+    if header["total"] is not None:
+        arguments.whole_number("its total", header["total"], 1, 2**62)
+    labels = header["labels"]
+    if (
+        not isinstance(labels, list)
+        or len(labels) != 3
+        or not all(isinstance(names, list) and all(isinstance(name, str) for name in names) for names in labels[1:])
+    ):
+        raise ValueError("its labels are no sampling time and names of channels")
+    if not isinstance(header["finished"], bool) or not isinstance(header["model"], dict):
+        raise ValueError("its header is of another kind")
+
+
+def _check_survey(survey, n, m):
+    """A ValueError unless the arrays are those of a survey of n states and m inputs."""
+    if set(survey) != {"ranges", "where", "length", "states", "inputs"}:
+        raise ValueError("it lacks arrays of the survey, or has more")
+    ranges = require_numbers("survey.ranges", survey["ranges"], (n + m, 2))
+    states = require_numbers("survey.states", survey["states"], (None, None, n))
+    require_numbers("survey.inputs", survey["inputs"], (*states.shape[:2], m))
+    where = require_numbers("survey.where", survey["where"], (None, 2), 0)
+    length = require_numbers("survey.length", survey["length"], (), 1)
+    if not (ranges[:, 0] < ranges[:, 1]).all():
+        raise ValueError("its survey.ranges is not (lowest, highest) for each channel")
+    if (
+        {where.dtype.kind, length.dtype.kind} - set("iu")
+        or len(where) > len(states)
+        or (len(where) and length >= states.shape[1])
+    ):
+        raise ValueError("its windows are not those of a survey")
 
 
 def other_data(path, reason: str) -> CheckpointError:
@@ -60,6 +105,15 @@ def other_data(path, reason: str) -> CheckpointError:
     return CheckpointError(
         f"checkpoint {path} belongs to other data ({reason}); use the data it was made of, {_REMEDY}."
     )
+
+
+def _require_fit(path, fit):
+    """A CheckpointError unless rows and hull are of the sizes that the fit goes on with."""
+    solver, channels = fit.solver, len(fit.channels.z_names) + len(fit.channels.input_names)
+    if solver is None or solver.shapes != fit.sizes:
+        raise CheckpointError(f"checkpoint {path} cannot be read (its rows are not those of this model); {_REMEDY}.")
+    if fit.confines != (fit.hull is not None) or fit.hull and len(fit.hull.low) != channels:
+        raise CheckpointError(f"checkpoint {path} cannot be read (its hull is not that of this model); {_REMEDY}.")
 
 
 class Log:
@@ -75,8 +129,9 @@ class Log:
         if saved:
             header, _, state = saved
             fit.restore(state)
+            _require_fit(path, fit)
             self.header |= {key: header[key] for key in ("done", "crc", "finished")}
-        self.stored = self.header["done"]
+        self.stored, self.resumed = self.header["done"], bool(saved)
         self.crc, self.written = 0, time.monotonic()
 
     def knows(self, number: int, piece) -> bool:
@@ -96,6 +151,8 @@ class Log:
         if count < self.header["done"]:
             raise other_data(self.path, "there are fewer of them now")
         if self.survey.pairs not in (None, pairs):
+            if self.resumed:
+                raise other_data(self.path, f"there were {self.survey.pairs} snapshot pairs, now there are {pairs}")
             first = f"recording gave {self.survey.pairs} snapshot pairs when it was read first"
             raise ValueError(f"{first}, and {pairs} now; it has to give the same each time.")
 

@@ -10,9 +10,9 @@ import pandas as pd
 import pydantic
 
 from tras.twin_rotor.plant import LUMPED
+from tras.workflow import yaml_file
 from tras.workflow.arguments import did_you_mean
 from tras.workflow.files import markdown_table
-from tras.workflow.parameters import ParameterError, parse_yaml
 
 PAPER_NRMSE = {"yaw": 4.0589, "pitch": 5.5889}  # percent, by the words of Sec. III
 PAPER_FIT = {"field": "least_squares", "regularization": None, "extrapolation": "functions"}  # of `tras.KoopmanModel`
@@ -224,12 +224,7 @@ def read_yaml(path: str | Path, *sections: str) -> Readings:
     ReadingError
         If the file cannot be read, is no mapping, or names an unknown option or choice; the message names the file.
     """
-    try:
-        content = parse_yaml(Path(path).read_text(encoding="utf-8"), Path(path))
-    except OSError as error:
-        raise ReadingError(f"{path} cannot be read ({error.strerror}): check the path.") from None
-    except ParameterError as error:
-        raise ReadingError(str(error)) from None
+    content = yaml_file.read_yaml(path, ReadingError)
     for section in sections:
         known = content if isinstance(content, dict) else {}
         if section not in known:

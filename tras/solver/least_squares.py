@@ -87,6 +87,11 @@ class StreamingLeastSquares:
         self._waiting = []
         self.basis = None
 
+    @property
+    def shapes(self) -> tuple[int, int]:
+        """Numbers of regressors and targets of its rows."""
+        return self._shapes
+
     def update(self, regressors, targets) -> "StreamingLeastSquares":
         """Add rows (rows, p) with targets (rows, q); returns self."""
         regressors, targets = _two_dimensional("regressors", regressors), _two_dimensional("targets", targets)

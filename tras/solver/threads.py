@@ -1,6 +1,7 @@
 """Processors: how many threads a fit takes, and BLAS held to one, so that sums have the same bits."""
 
 import os
+import threading
 from functools import cache
 from multiprocessing import parent_process
 
@@ -18,6 +19,34 @@ def processors() -> int:
     return min(usable, _MOST)
 
 
+class _OneThread:
+    """A context that the first of several users at a time enters, and the last one leaves.
+
+    Each on its own would restore what it found, which is one thread if another one is still inside.
+    """
+
+    def __init__(self):
+        self.lock, self.users, self.limiter = threading.Lock(), 0, None
+
+    def __enter__(self):
+        with self.lock:
+            if not self.users:
+                self.limiter = _libraries().limit(limits=1, user_api="blas")
+            self.users += 1
+
+    def __exit__(self, *error):
+        with self.lock:
+            self.users -= 1
+            if not self.users:
+                self.limiter.restore_original_limits()
+
+
+_one_thread = _OneThread()
+
+
 def one_blas_thread():
-    """A context in which BLAS has one thread: sums depend on their number, and small matrices are faster so."""
-    return _libraries().limit(limits=1, user_api="blas")
+    """A context in which BLAS has one thread: sums depend on their number, and small matrices are faster so.
+
+    The number is one of the process: fits of several threads share the context, and the last one to leave restores it.
+    """
+    return _one_thread

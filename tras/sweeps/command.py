@@ -22,9 +22,9 @@ from tras.sweeps.grid import DATA, MODEL
 from tras.sweeps.sweep import sweep
 from tras.twin_rotor.closed_loop import simulate_closed_loop
 from tras.twin_rotor.excitation import PITCH_MAX_FREQUENCY, PITCH_PEAK, YAW_MAX_FREQUENCY, YAW_PEAK, multisine
-from tras.workflow.arguments import did_you_mean
+from tras.workflow.arguments import did_you_mean, short
 from tras.workflow.files import replacing
-from tras.workflow.parameters import ParameterError, parse_yaml
+from tras.workflow.yaml_file import read_yaml
 
 Positive = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
 Names = Annotated[list[str], pydantic.Field(min_length=1)]
@@ -82,7 +82,7 @@ class Description(_Strict):
         paths = value if isinstance(value, list) else [value]
         if not paths or not all(isinstance(path, str) for path in paths):
             remedy = "give the path of a file, a list of paths, or `simulate: {duration: 500.0, ...}`"
-            raise DescriptionError(f"{name} is {value!r}; {remedy}.")
+            raise DescriptionError(f"{name} is {short(repr(value), 60)}; {remedy}.")
         return paths if self.roles is None else [Recording.read(path, self.roles) for path in paths]
 
 
@@ -94,20 +94,15 @@ def read(path: str | Path) -> Description:
     ValueError
         If it cannot be read, or does not describe a sweep; the sentence begins with the file's name.
     """
-    try:
-        content = parse_yaml(Path(path).read_text(encoding="utf-8"), path)
-    except (OSError, UnicodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise DescriptionError(f"{path} cannot be read ({reason}); check the path.") from None
-    except ParameterError as error:
-        raise DescriptionError(str(error)) from None
-    return _checked(Description, content, f"{path}: ")
+    return _checked(Description, read_yaml(path, DescriptionError), f"{path}: ")
 
 
 def _checked(kind, content, where):
     names = ", ".join(kind.model_fields)
     if not isinstance(content, dict):
-        raise DescriptionError(f"{where}it holds {content!r}; write one `name: value` per line, there are {names}.")
+        raise DescriptionError(
+            f"{where}it holds {short(repr(content), 60)}; write one `name: value` per line, there are {names}."
+        )
     try:
         return kind(**{str(name): value for name, value in content.items()})
     except pydantic.ValidationError as error:
@@ -118,7 +113,7 @@ def _checked(kind, content, where):
         if problem["type"] == "missing":
             raise DescriptionError(f"{where}{name} is missing; there are {names}.") from None
         reason = problem["msg"].removeprefix("Input ")
-        raise DescriptionError(f"{where}{name} is {problem['input']!r}; it {reason}.") from None
+        raise DescriptionError(f"{where}{name} is {short(repr(problem['input']), 60)}; it {reason}.") from None
 
 
 def write(table: pd.DataFrame, folder: Path) -> None:

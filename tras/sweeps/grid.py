@@ -10,7 +10,7 @@ from tras.dictionaries.base import Dictionary, label, spelled
 from tras.dictionaries.kinds import KINDS
 from tras.model import KoopmanModel
 from tras.workflow import arguments
-from tras.workflow.arguments import did_you_mean
+from tras.workflow.arguments import did_you_mean, short
 
 MODEL = {name: parameter.default for name, parameter in inspect.signature(KoopmanModel).parameters.items()}
 DATA = {"seconds": None, "every": 1, "split_seed": 0}
@@ -56,7 +56,7 @@ def points(grid) -> list[Point]:
             part = part.get_params(deep=False)
         if not isinstance(part, dict):
             remedy = "give a dict option -> list of values, a KoopmanModel, or a list of these"
-            raise ValueError(f"grid holds {part!r}; {remedy}.")
+            raise ValueError(f"grid holds {short(repr(part), 60)}; {remedy}.")
         for point in _combinations(part):
             every.setdefault(str(point.identity()), point)
     if not every:
@@ -67,7 +67,7 @@ def points(grid) -> list[Point]:
 def _combinations(part):
     for option in part:
         if option not in MODEL | DATA:
-            raise ValueError(f"grid: there is no option {option!r}{did_you_mean(option, MODEL | DATA)}")
+            raise ValueError(f"grid: there is no option {short(repr(option), 60)}{did_you_mean(option, MODEL | DATA)}")
     values = {option: _values(option, value) for option, value in part.items()}
     if "dictionary" not in values:
         raise ValueError("grid names no dictionary; give for example {'dictionary': [tras.Monomials(2)]}.")
@@ -96,21 +96,25 @@ def dictionaries(spec) -> list[Dictionary]:
         spec = {spec: {}}
     if not isinstance(spec, dict) or len(spec) != 1:
         remedy = "give one such as tras.Monomials(2), in YAML {Monomials: {degree: 2}}"
-        raise ValueError(f"grid: dictionary is {spec!r}; {remedy}.")
+        raise ValueError(f"grid: dictionary is {short(repr(spec), 60)}; {remedy}.")
     ((name, parameters),) = spec.items()
     if name not in KINDS:
-        raise ValueError(f"grid: there is no dictionary {name!r}{did_you_mean(name, KINDS)}")
+        raise ValueError(f"grid: there is no dictionary {short(repr(name), 60)}{did_you_mean(name, KINDS)}")
     if name in ("Union", "Product"):
         if not isinstance(parameters, list) or not parameters:
-            raise ValueError(f"grid: {name} has {parameters!r}; give a list of dictionaries.")
+            raise ValueError(f"grid: {name} has {short(repr(parameters), 60)}; give a list of dictionaries.")
         return [KINDS[name](*map(clone, parts)) for parts in itertools.product(*map(dictionaries, parameters))]
     parameters = parameters or {}
     if not isinstance(parameters, dict):
-        raise ValueError(f"grid: {name} has {parameters!r}; give its parameters by name: {{{name}: {{...}}}}.")
+        raise ValueError(
+            f"grid: {name} has {short(repr(parameters), 60)}; give its parameters by name: {{{name}: {{...}}}}."
+        )
     known = KINDS[name]().get_params(deep=False)
     for parameter in parameters:
         if parameter not in known:
-            raise ValueError(f"grid: {name} has no parameter {parameter!r}{did_you_mean(parameter, known)}")
+            raise ValueError(
+                f"grid: {name} has no parameter {short(repr(parameter), 60)}{did_you_mean(parameter, known)}"
+            )
     values = {parameter: _values(f"{name}: {parameter}", value) for parameter, value in parameters.items()}
     return [KINDS[name](**dict(zip(values, combination))) for combination in itertools.product(*values.values())]
 

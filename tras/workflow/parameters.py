@@ -12,7 +12,8 @@ import json
 import re
 from pathlib import Path
 
-from tras.workflow.arguments import did_you_mean
+from tras.workflow.arguments import did_you_mean, short
+from tras.workflow.yaml_file import parse_yaml, read_yaml
 
 
 class ParameterError(ValueError):
@@ -64,28 +65,6 @@ def _read_notebook(notebook):
     return content
 
 
-def parse_yaml(text: str, where):
-    """YAML, with an error instead of silence when a key stands twice."""
-    import yaml
-
-    class Loader(yaml.SafeLoader):
-        def construct_mapping(self, node, deep=False):
-            keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-            twice = [key for n, key in enumerate(keys) if key in keys[:n]]
-            if twice:
-                line = node.start_mark.line + 1
-                raise ParameterError(f"{where}: `{twice[0]}` stands twice (line {line} on): keep one.")
-            return super().construct_mapping(node, deep)
-
-    try:
-        return yaml.load(text, Loader)  # a SafeLoader: plain values only
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f" at line {mark.line + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or error
-        raise ParameterError(f"{where} is not valid YAML{line} ({problem}): correct it.") from None
-
-
 def read_params(path: str | Path, notebook: str | Path) -> dict:
     """One notebook's section of a parameter file.
 
@@ -102,10 +81,7 @@ def read_params(path: str | Path, notebook: str | Path) -> dict:
         Name -> value; empty when the file has no section for the notebook.
     """
     path, notebook = Path(path), Path(notebook)
-    try:
-        content = parse_yaml(path.read_text(encoding="utf-8"), path)
-    except OSError as error:
-        raise ParameterError(f"the parameter file {path} cannot be read ({error.strerror}): check the path.") from None
+    content = read_yaml(path, ParameterError)
     if content is None:
         return {}
     if not isinstance(content, dict):
@@ -133,7 +109,7 @@ def parse_settings(settings: list[str]) -> dict:
         if not equals or not name.isidentifier():
             remedy = "write --set name=value, without blanks around '='"
             raise ParameterError(f"--set {setting} is not understood: {remedy}.")
-        values[name] = parse_yaml(value, f"--set {setting}")
+        values[name] = parse_yaml(value, f"--set {short(setting)}", ParameterError)
     return values
 
 
@@ -181,9 +157,9 @@ def _kind(value):
 
 
 def _remedy(value, default):
-    problem = f"found {value!r} ({_kind(value)})"
+    problem = f"found {short(repr(value), 60)} ({_kind(value)})"
     if isinstance(value, str) and type(default) in (int, float) and _as_yaml_number(value):
-        return f"{problem}: YAML takes {value} for text, write {_as_yaml_number(value)} without quotes."
+        return f"{problem}: YAML takes {short(value)} for text, write {_as_yaml_number(value)} without quotes."
     if isinstance(default, str):
         return f"{problem}: put it in quotes."
     if isinstance(default, bool):
