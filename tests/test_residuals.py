@@ -168,9 +168,9 @@ def test_a_right_model_is_found_white_a_wrong_one_is_not():
         "The one-step residuals show nothing that the model has missed: "
         "of 2 tests on 599 samples none raises an alarm at 1 %."
     )
-    wrong = simulated(3000, term=lambda x, u: -0.5 * np.sign(x))
+    wrong, _ = study.system(study.TERMS["earlier input"], np.random.default_rng(0), 2)
     result = fitted(wrong).residuals(wrong[[1]], steps=3)
-    words = "Residuals: The 3-step residuals are correlated, those of x with"
+    words = "Residuals: The 3-step residuals are correlated, those of x1 with"
     assert not result.white and repr(result).startswith(words)
 
 

@@ -15,7 +15,16 @@ import tras
 
 # Modules that are checked line by line: those of the objects that users hold. In the others a checker mostly argues
 # about NumPy, SciPy and pandas, so of them only what callers see is checked, by the scripts below.
-CHECKED = ["__init__.py", "recording.py", "estimator.py", "model.py", "plotting.py", "display", "twin_rotor"]
+CHECKED = [
+    "__init__.py",
+    "recording.py",
+    "estimator.py",
+    "model.py",
+    "residuals.py",
+    "plotting.py",
+    "display",
+    "twin_rotor",
+]
 PAGES = ["README.md", "docs/own_rig.md"]
 SCRIPT = """
 from pathlib import Path
@@ -41,6 +50,10 @@ assert_type(model.report(recording), str)
 assert_type(model.plot(recording), Figure)
 assert_type(model.plot_spectrum(), Figure)
 assert_type(tras.compare(recording, model, tras.load_model("model.npz"), names=["a", "b"]), Figure)
+assert_type(tras.compare_table(recording, model), pd.DataFrame)
+assert_type(model.residuals(recording, steps=3).white, bool)
+assert_type(model.residuals(recording).plot(), Figure)
+assert_type(model.information_criteria(recording), pd.DataFrame)
 assert_type(tras.choose(recording)[0], tras.KoopmanModel)
 result = tras.identify(recording, delays=[0, 2])
 assert_type(result.model, tras.KoopmanModel)

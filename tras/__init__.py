@@ -65,6 +65,7 @@ _ROOMS = {
     "parameter_intervals": "paper.physics",
     "load_model": "model",
     "compare": "display.plots",
+    "compare_table": "display.plots",
     "metrics": "metrics",
     "export": "export",
     "open_recording": "large.slices",
@@ -83,6 +84,7 @@ if TYPE_CHECKING:
     from tras.dictionaries.waves import Exponentials as Exponentials
     from tras.dictionaries.waves import Fourier as Fourier
     from tras.display.plots import compare as compare
+    from tras.display.plots import compare_table as compare_table
     from tras.identification.bootstrap import bootstrap as bootstrap
     from tras.identification.bootstrap import prediction_band as prediction_band
     from tras.identification.examples import example as example

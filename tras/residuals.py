@@ -70,10 +70,10 @@ class Residuals:
         reach, tests = "one-step" if self.steps == 1 else f"{self.steps}-step", self.table
         level = f"{100 * self.significance:g} %"
         own = "their own past" if self.steps == 1 else f"their own past {self.steps} samples ago and earlier"
-        if tests["p"].isna().all():
+        if np.isnan(tests["p"]).all():
             return f"The {reach} residuals are rounding errors: there is nothing to test."
         if self.white:
-            count = int(tests["p"].notna().sum())
+            count = int(np.sum(np.isfinite(tests["p"])))
             return (
                 f"The {reach} residuals show nothing that the model has missed: "
                 f"of {count} tests on {self.samples} samples none raises an alarm at {level}."
@@ -99,9 +99,9 @@ class Residuals:
         alone = [state for state, rows in alarms.groupby("state", sort=False) if list(rows["against"]) == ["itself"]]
         states = []
         for state in alone:
-            own = self.correlations.query("state == @state and against == 'itself'").set_index("lag")
-            outside = own["correlation"].abs() > own["bound"]
-            if own["correlation"][1] < -own["bound"][1] and outside.loc[3:].mean() <= 0.1:
+            own = self.correlations.query("state == @state and against == 'itself'")
+            r, bound = np.asarray(own["correlation"]), np.asarray(own["bound"])  # from lag 1 on
+            if r[0] < -bound[0] and np.mean(np.abs(r[2:]) > bound[2:]) <= 0.1:
                 states.append(state)
         return states
 
@@ -143,7 +143,8 @@ def residuals(
     table = pd.DataFrame(tests)
     table["alarm"] = table["p"] < significance / len(table)
     order = ["state", "against", "lag", "correlation", "bound", "tested"]
-    return Residuals(errors, table, pd.concat(curves, ignore_index=True)[order], samples, steps, significance)
+    correlations = pd.DataFrame(pd.concat(curves, ignore_index=True), columns=order)
+    return Residuals(errors, table, correlations, samples, steps, significance)
 
 
 def prediction_errors(model: "Estimator", recording: "Recording", steps: int = 1):

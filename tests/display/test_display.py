@@ -54,6 +54,39 @@ def dashes(line):
 # --- plots ---
 
 
+def test_the_table_of_a_comparison_is_of_all_trajectories(recording, model, poor):
+    position = recording.select(states=["x1"])
+    delayed = tras.KoopmanModel(tras.Monomials(1), "one_step", 1).fit(position)
+    table = tras.compare_table(recording, model, delayed, names=["plain", "late"]).set_index(["state", "model"])
+    assert list(table.index) == [("x1", "plain"), ("x1", "late"), ("x2", "plain")]
+    later = recording.with_data([x[1:] for x, _ in recording], [u[1:] for _, u in recording])
+    runs = {"plain": model.predict(later), "late": delayed.predict(position)[:, 1:]}
+    for state, name in table.index:
+        i = recording.state_names.index(state)
+        pair = later.states[..., [i]], runs[name][..., [i]]
+        row = table.loc[(state, name)]
+        assert np.allclose([row["fit"], row["nrmse"]], np.ravel([tras.metrics.bfr(*pair), tras.metrics.nrmse(*pair)]))
+    one = tras.compare_table(recording[[3]], poor)
+    legends = [
+        panel.get_legend().get_texts()[1].get_text() for panel in tras.compare(recording, poor, trajectory=3).axes
+    ]
+    assert [text.rpartition(": ")[2] for text in legends] == [f"{fit:.3g} %" for fit in one["fit"]]
+
+
+def test_the_table_counts_what_diverged(recording, model):
+    wild = tras.KoopmanModel(tras.Monomials(1)).fit(recording)
+    wild.W_ = wild.W_ + 40 * np.eye(2, wild.W_.shape[1], 1)
+    table = tras.compare_table(recording, wild)
+    assert (table["diverged"] == 6).all() and (table["trajectories"] == 6).all() and table["fit"].isna().all()
+
+
+def test_a_table_needs_models(recording, model):
+    with pytest.raises(ValueError, match="there is no model"):
+        tras.compare_table(recording)
+    with pytest.raises(ValueError, match="give a list of 1, one per model"):
+        tras.compare_table(recording, model, names=["a", "b"])
+
+
 def test_compare_says_the_fit_that_the_metric_has(recording, model, poor):
     figure = tras.compare(recording, model, poor, names=["good", "poor"], trajectory=2)
     one = recording[2]

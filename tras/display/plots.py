@@ -121,6 +121,7 @@ def compare(
     Returns
     -------
     matplotlib.figure.Figure
+        `tras.compare_table` has the numbers, of all trajectories.
 
     Raises
     ------
@@ -137,14 +138,9 @@ def compare(
     >>> [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
     ['measured', 'decay: 100 %']
     """
-    for model in models:
-        if not hasattr(model, "require_fitted"):
-            raise ValueError(f"models holds a {type(model).__name__}; give fitted models such as tras.KoopmanModel.")
-        model.require_fitted()
     if not 1 <= len(models) <= len(_MODELS):
         raise ValueError(f"there are {len(models)} models; give 1 to {len(_MODELS)}.")
-    if names is not None and (isinstance(names, str) or len(names) != len(models)):
-        raise ValueError(f"names is {names!r}; give a list of {len(models)}, one per model.")
+    _check_models(models, names)
     if (
         isinstance(trajectory, bool)
         or not isinstance(trajectory, (int, np.integer))
@@ -176,6 +172,54 @@ def compare(
     which = f", trajectory {trajectory} of {len(recording)}" if len(recording) > 1 else ""
     panels[-1].set_xlabel(f"time (s){which}")
     return panels[0].figure
+
+
+def compare_table(recording: "Recording", *models: "Estimator", names: Sequence[str] | None = None) -> pd.DataFrame:
+    """How well models simulate each state over all trajectories of a recording, from their first samples.
+
+    All models begin to predict at the same sample, after the longest delays.
+
+    Parameters
+    ----------
+    recording : Recording
+        Best one that no model was fitted to.
+    *models : KoopmanModel
+        Fitted.
+    names : sequence of str, optional
+        One per model. Default: what their dictionaries are called.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row per state and model: ``state, model, fit`` (percent, `tras.metrics.bfr`), ``nrmse`` (percent),
+        ``trajectories`` and ``diverged``, how many of them were lost; these are left out of fit and nrmse, which are
+        NaN if all are.
+
+    Raises
+    ------
+    ValueError
+        If there is no model, one is not fitted or has other channels, or a trajectory is too short.
+
+    Examples
+    --------
+    >>> import numpy as np, tras
+    >>> x = np.exp(-0.1 * np.arange(50))[:, None] * [[1.0, -2.0]]
+    >>> recording = tras.Recording([x[:, :1], x[:, 1:]], dt=0.1)
+    >>> model = tras.KoopmanModel(tras.Monomials(1), "one_step").fit(recording)
+    >>> tras.compare_table(recording, model, names=["decay"])[["state", "model", "fit"]].round(3)
+      state  model    fit
+    0    x1  decay  100.0
+    """
+    _check_models(models, names)
+    latest = max(model.delays for model in models)
+    rows = []
+    for name, model in zip(_names(models) if names is None else names, models):
+        scores = _judged(model, recording, latest)[1]
+        lost = {"trajectories": scores.windows, "diverged": scores.diverged}
+        for state, fit, error in zip(model.state_names_, scores.bfr, scores.nrmse):
+            rows.append({"state": state, "model": str(name), "fit": fit, "nrmse": error} | lost)
+    rows.sort(key=lambda row: recording.state_names.index(row["state"]))
+    return pd.DataFrame(rows)
 
 
 @styled()
@@ -223,17 +267,17 @@ def residual_figure(table: pd.DataFrame, significance: float = 0.01) -> Figure:
     require(table, "table", ["state", "against", "lag", "correlation", "bound", "tested"])
     states, others = list(dict.fromkeys(table["state"]))[:MOST], list(dict.fromkeys(table["against"]))[:MOST]
     rows, columns = len(states), len(others)
-    figure, panels = new_figure(0.95 * rows + 0.75, rows, columns, sharex="col", sharey=True, squeeze=False)
+    figure, panels = new_figure(0.95 * rows + 0.75, rows, columns, sharex="col", sharey="col", squeeze=False)
     figure.set_figwidth(WIDTH if columns <= 2 else WIDTH * columns / 2)
     for state, row in zip(states, panels):
         for other, panel in zip(others, row):
             part = table[(table["state"] == state) & (table["against"] == other)]
-            lag, bound = part["lag"].to_numpy(), part["bound"].to_numpy()
+            lag, bound = np.asarray(part["lag"]), np.asarray(part["bound"])
             panel.fill_between(lag, -bound, bound, color="0.88", linewidth=0, zorder=0)
             for tested, colour in ((False, "0.6"), (True, MODEL["color"])):
                 some = part[part["tested"] == tested]
                 panel.vlines(some["lag"], 0, some["correlation"], color=colour, linewidth=1.0, linestyle="-")
-                out = some[some["correlation"].abs() > some["bound"]]
+                out = some[np.abs(some["correlation"]) > some["bound"]]
                 filled = {"color": colour, "linestyle": "none", "marker": "o", "markersize": 2.2}
                 panel.plot(out["lag"], out["correlation"], **filled)
             panel.axhline(0, color="black", linewidth=0.5, linestyle="-")
@@ -278,16 +322,35 @@ def _chosen(argument, names, known):
     return names
 
 
+def _check_models(models, names):
+    """A ValueError unless all of them are fitted models, with as many names."""
+    if not models:
+        raise ValueError("there is no model; give one or more, after the recording.")
+    for model in models:
+        if not hasattr(model, "require_fitted"):
+            raise ValueError(f"models holds a {type(model).__name__}; give fitted models such as tras.KoopmanModel.")
+        model.require_fitted()
+    if names is not None and (isinstance(names, str) or len(names) != len(models)):
+        raise ValueError(f"names is {names!r}; give a list of {len(models)}, one per model.")
+
+
+def _judged(model, recording, latest):
+    """Roll-outs from the sample ``latest`` on, a list of (samples_i - latest, n), and their scores."""
+    selected, start = recording.select(states=model.state_names_, inputs=model.input_names_), latest - model.delays
+    if recording.lengths.min() < latest + 2:
+        short = "the trajectory" if len(recording) == 1 else "the shortest trajectory"
+        raise ValueError(f"{short} has {recording.lengths.min()} samples; {latest} delays need {latest + 2} or more.")
+    states, inputs = (list(part) for part in zip(*selected))
+    # All models begin to predict at the same sample.
+    later = selected.with_data([x[start:] for x in states], [u[start:] for u in inputs])
+    runs = [np.asarray(run)[model.delays :] for run in model.predict(later)]
+    with np.errstate(all="ignore"):
+        return runs, metrics.judge([x[latest:] for x in states], runs)
+
+
 def _simulated(model, shown, latest):
     """State -> (its roll-out from the sample ``latest`` on, the fit in words), of the one trajectory of ``shown``."""
-    selected, start = shown.select(states=model.state_names_, inputs=model.input_names_), latest - model.delays
-    if shown.lengths[0] < latest + 2:
-        raise ValueError(f"the trajectory has {shown.lengths[0]} samples; {latest} delays need {latest + 2} or more.")
-    x, u = next(iter(selected))
-    trajectory = selected.with_data([x[start:]], [u[start:]])  # all models begin to predict at the same sample
-    run, true = np.asarray(model.predict(trajectory)[0])[model.delays :], x[latest:]
-    with np.errstate(all="ignore"):
-        scores = metrics.judge([true], [run])
+    (run,), scores = _judged(model, shown, latest)
     lost = "diverged" if scores.diverged else "no fit: constant"
     fits = [f"{fit:.3g} %" if np.isfinite(fit) else lost for fit in scores.bfr]
     return {name: (run[:, i], fit) for i, (name, fit) in enumerate(zip(model.state_names_, fits))}
