@@ -180,7 +180,8 @@ def window_length(recording: Recording, lag: int, horizon: float | None = None) 
     began; between 26 and 501 samples, and short enough for thirty windows if each still has 26 samples.
     """
     if horizon is not None:
-        samples = int(round(arguments.number("horizon", horizon, 0, ends=False) / recording.dt)) + 1
+        arguments.number("horizon", horizon, 0, ends=False, give="a time in s, for example 2.0")
+        samples = int(round(horizon / recording.dt)) + 1
         return max(2, samples), f"windows are {max(1, samples - 1) * recording.dt:.3g} s long, as the horizon says"
     steps = int(np.clip(5 * lag, SHORTEST - 1, LONGEST - 1))
     longest, most = int(recording.lengths.max()), max(recording.pairs // 30, SHORTEST - 1)

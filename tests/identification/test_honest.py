@@ -1,0 +1,230 @@
+"""The kinds of faults that recordings of real rigs have shown, each with an input that the test makes."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.signal import butter, cont2discrete, dlsim, lfilter
+
+import tras
+from tras.identification import advice, preparation, search
+from tras.identification.scores import CONSTANT, HELD, compare
+
+
+def one(y, u, dt, **labels):
+    states, inputs = (np.asarray(part, dtype=float).reshape(len(part), -1) for part in (y, u))
+    return tras.Recording([states], [inputs], dt=dt, **labels)
+
+
+def of(identification, prediction="model"):
+    return identification.metrics.set_index(["prediction", "state"]).loc[prediction]
+
+
+@pytest.mark.slow
+def test_a_fit_sees_what_happens_on_seams():
+    """The base of a beam is stepped every 400 samples, just where pieces would have been cut."""
+    rng, dt, n = np.random.default_rng(0), 0.005, 4000
+    u = np.where((np.arange(n) // 400) % 2, 90.0, 0.0)
+    w = 2 * np.pi * 4
+    A, B = np.array([[0, 1], [-w * w, -0.04 * w]]), np.array([[0], [1.0]])
+    system = cont2discrete((A, B, np.array([[0, 1.0]]), np.zeros((1, 1))), dt)
+    y = dlsim((*system[:4], dt), u)[1]
+    y = y * 80 / np.abs(y).max() + rng.normal(0, 0.3, (n, 1))
+    identification = tras.identify(one(y, u, dt), draws=0, predictor="one_step", smoothing=False)
+    assert of(identification)["nrmse"].max() < 1 and of(identification)["free"].max() < 1
+    assert identification.train.lengths.max() > 3000  # whole trajectories, not pieces
+    assert identification.delivered.pairs_ > identification.model.pairs_
+
+
+def same_instant(n=3000):
+    """``y[k]`` depends on ``u[k]``."""
+    rng = np.random.default_rng(0)
+    u = lfilter(*butter(3, 0.3), rng.normal(0, 1, n))
+    y = np.zeros(n)
+    for k in range(2, n):
+        y[k] = 1.5 * y[k - 1] - 0.8 * y[k - 2] - 0.03 * y[k - 1] ** 3 + 0.2 * u[k] + 0.1 * u[k - 1]
+    return one(y + rng.normal(0, 0.001, n), u, 0.01)
+
+
+@pytest.mark.slow
+def test_the_timing_of_the_input_is_searched_and_can_be_said():
+    log = same_instant()
+    options = {"draws": 0, "predictor": "one_step", "delays": [1], "smoothing": False}
+    identification = tras.identify(log, **options)
+    assert identification.model.lead == 1 and of(identification)["nrmse"].max() < 0.1
+    assert "inputs of the same instant" in [about for _, about, _ in identification.advice]
+    held = tras.identify(log, lead=0, **options)
+    assert held.model.lead == 0 and of(held)["nrmse"].max() > 5 * of(identification)["nrmse"].max()
+
+
+@pytest.mark.parametrize("intersample, leads", [("zoh", [0]), ("foh", [1]), ("bl", [1]), (None, [0, 1])])
+def test_the_recording_says_how_its_inputs_act(intersample, leads):
+    attributes = {"intersample": intersample} if intersample else {}
+    log = one(np.arange(20.0), np.arange(20.0), 0.1, attributes=attributes)
+    assert search._leads(log, None) == leads and search._leads(log, 1) == [1]
+    assert search._leads(log.select(inputs=[]), None) == [0]
+
+
+@pytest.mark.parametrize(
+    "predictor, delays", [("one_step", 0), ("one_step", 2), ("vector_field", 0), ("lifted_linear", 1)]
+)
+def test_a_lead_is_the_input_one_sample_earlier(predictor, delays, tmp_path):
+    """The same numbers as a model without it, fitted to the shifted recording: fit, simulation, file."""
+    log = same_instant(400)
+    u = log.inputs[0]
+    shifted = one(log.states[0], np.concatenate([u[1:], u[-1:]]), log.dt)
+    model = tras.KoopmanModel(tras.Monomials(2), predictor, delays, strength=0, lead=1).fit(log)
+    plain = tras.KoopmanModel(tras.Monomials(2), predictor, delays, strength=0).fit(shifted)
+    whole, part = model.predict(log)[0], plain.predict(shifted)[0]
+    assert np.allclose(whole, part, rtol=0, atol=1e-9 * np.ptp(part))
+    model.save(tmp_path / "model.npz")
+    assert np.array_equal(tras.load_model(tmp_path / "model.npz").predict(log)[0], whole)
+    tras.export.to_c(model, tmp_path / "model.c")
+    assert "the input at the end of a sample" in (tmp_path / "model.h").read_text()
+    with pytest.raises(ValueError, match="lead is 2"):
+        tras.KoopmanModel(tras.Monomials(1), lead=2).fit(log)
+
+
+@pytest.mark.slow
+def test_predictions_start_from_what_was_measured_up_to_then():
+    """A quiet plant and a noisy, coarse sensor: delays average, the future is not known."""
+    rng, dt, n = np.random.default_rng(0), 0.025, 4800
+    u = np.repeat(rng.uniform(-1, 1, n // 120), 120)
+    x, v = np.zeros(n), np.zeros(n)
+    for k in range(n - 1):
+        v[k + 1] = v[k] + dt * (-0.6 * v[k] - 1.5 * x[k] + u[k])
+        x[k + 1] = x[k] + dt * v[k + 1]
+    log = one(np.round(x * 20 + rng.normal(0, 0.5, n)), u, dt)
+    identification = tras.identify(log, draws=0, predictor="one_step")
+    assert of(identification)["nrmse"].max() < 2.5 and identification.model.delays >= 16
+    # The truth of a window is the recording's, sample by sample.
+    y, window = log.states[0], identification.test.states[0]
+    assert any(np.array_equal(y[k : k + len(window)], window) for k in range(len(y) - len(window) + 1))
+
+
+def resting(n_moving=1600, n_rest=900):
+    rng, dt = np.random.default_rng(0), 0.02
+    u = np.r_[np.repeat(rng.uniform(0, 10, n_moving // 40), 40), np.zeros(n_rest)]
+    x, v = np.zeros(len(u)), np.zeros(len(u))
+    for k in range(len(u) - 1):
+        v[k + 1] = v[k] + dt * (-1.2 * v[k] - 2.0 * np.sin(x[k]) + 0.2 * u[k])
+        x[k + 1] = max(0, x[k] + dt * v[k + 1])
+        v[k + 1] *= x[k + 1] > 0
+    return one(np.round(x / 0.003) * 0.003, u, dt)
+
+
+def test_the_test_lies_where_the_states_move():
+    log = resting()
+    train, test, remark = preparation.partition(log)
+    assert test.states[0].std() > 0.2 * log.states[0].std() and "in which the states move" in remark
+    assert sum(train.lengths) + sum(test.lengths) == log.lengths[0] + len(train) + len(test) - 1  # no pair is lost
+    steady = one(np.sin(np.arange(1000)), np.cos(np.arange(1000)), 0.1)
+    assert "the last fifth" in preparation.partition(steady)[2]
+
+
+def test_a_test_at_rest_says_so_and_no_nan():
+    log = resting()
+    model = tras.KoopmanModel(tras.Monomials(1), "one_step", 1).fit(log)
+    rest = one(np.zeros(300), np.zeros(300), log.dt)
+    metrics, _ = compare({"model": model, "linear model": model}, preparation.windows(rest, 50, 1), rest, log, 1)
+    table = metrics.set_index(["prediction", "state"])
+    assert not table["moves"].any() and np.isfinite(table["nrmse"]).all()
+    assert (table.loc[[HELD, CONSTANT], "diverged"] == 0).all()
+    words = advice.verdict(Told(metrics, model))
+    assert words.startswith("The test says nothing: no state moves in it.") and "nan" not in words
+
+
+class Told:
+    """What a verdict needs of an identification."""
+
+    def __init__(self, metrics, model=None):
+        self.metrics, self.model = metrics, model or tras.KoopmanModel(tras.Monomials(3))
+
+
+def table_of(**errors):
+    """Metrics of one state: prediction -> (windows, free run, windows lost)."""
+    names = {"linear": "linear model", "held": HELD, "mean": CONSTANT}
+    rows = [
+        {
+            "state": "q", "prediction": names.get(name, name), "nrmse": error, "free": free, "windows": 10,
+            "diverged": lost, "moves": True, "horizon": 1.0, "free_horizon": 10.0,
+        }
+        for name, (error, free, lost) in errors.items()
+    ]  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+TRIVIAL = {"held": (30.0, 60.0, 0), "mean": (25.0, 25.0, 0)}
+
+
+@pytest.mark.parametrize(
+    "model, linear, words, worse",
+    [
+        ((1.0, 2.0, 0), (3.0, 6.0, 0), "The error of a linear model is 3 times as large", ""),
+        ((3.0, 6.0, 0), (1.0, 2.0, 0), "A linear model is better: its error is 0.33 times", "3 times that of a linear"),
+        ((1.0, 1.0, 0), (1.02, 1.02, 0), "A linear model is about as good", ""),
+        ((1.0, 1.0, 3), (2.0, 2.0, 0), "A linear model ran away less often", "ran away in 3 of 10"),
+        ((1.0, 1.0, 0), (2.0, 2.0, 2), "The linear model ran away", ""),
+        ((1.0, np.inf, 0), (2.0, 3.0, 0), "The error of a linear model is 2 times", "free run over the test ran away"),
+        ((28.0, 40.0, 0), (90.0, 90.0, 0), "Do not use it: to predict the mean of the training data is better", ""),
+    ],
+)
+def test_the_verdict_is_true_in_both_directions(model, linear, words, worse):
+    metrics = table_of(model=model, linear=linear, **TRIVIAL)
+    assert words in advice.verdict(Told(metrics))
+    reason = advice.worse_than_linear(metrics)
+    assert (worse in reason) if worse else not reason
+
+
+def test_a_candidate_that_loses_a_window_loses_to_one_that_loses_none():
+    squares = np.full(10, 1e-4)
+    rows = [
+        {"error": 0.01, "windows": 0.01, "free": 0.01, "lost": 1, "functions": 5, "squares": squares, "failure": ""},
+        {
+            "error": 0.30,
+            "windows": 0.30,
+            "free": 0.30,
+            "lost": 0,
+            "functions": 9,
+            "squares": 900 * squares,
+            "failure": "",
+        },
+    ]
+    assert search.best(pd.DataFrame(rows), search.CLOSE).name == 1
+    for row in rows:
+        row["lost"] = 1
+    assert search.best(pd.DataFrame(rows), search.CLOSE).name == 0
+
+
+def test_ties_within_the_spread_over_windows_go_to_the_simpler_one():
+    rng = np.random.default_rng(0)
+    leader, apart = rng.uniform(0.5, 1.5, 40), rng.uniform(0.5, 1.5, 40)
+
+    def chosen(of_simple):
+        rows = [
+            {"functions": count, "squares": squares, "windows": np.sqrt(squares.mean()), "lost": 0, "failure": ""}
+            for count, squares in ((100, leader), (5, of_simple))
+        ]
+        for row in rows:
+            row |= {"free": 1.0, "error": np.sqrt(row["windows"])}
+        return search.best(pd.DataFrame(rows)).functions
+
+    assert chosen(apart * leader.mean() / apart.mean() * 1.05) == 5  # varies from window to window: no difference
+    assert chosen(leader * 1.05) == 100  # worse in each window, by as much
+
+
+@pytest.mark.parametrize("lengths", [[500], [400, 60], [90, 90, 90, 90, 90, 90], [30] * 12])
+def test_what_is_held_out_and_what_is_learnt_from_are_all_pairs(lengths):
+    learn, judge = preparation.held_out(np.array(lengths), 10)
+    pairs = [(i, k) for i, a, b in learn + judge for k in range(a, b)]
+    assert sorted(pairs) == [(i, k) for i, length in enumerate(lengths) for k in range(length - 1)]
+    assert judge and len(pairs) == len(set(pairs)) and sum(b - a for _, a, b in judge) < 0.3 * len(pairs)
+
+
+def test_windows_have_their_start_before_them():
+    log = one(np.arange(100.0), np.zeros(100), 0.1)
+    cut = preparation.windows(log, 11, 5)
+    assert cut.states.shape == (9, 16, 1) and np.array_equal(cut.states[:, 5, 0], 5 + 10 * np.arange(9))
+    assert preparation.windows(log, 500, 5).states.shape == (1, 100, 1)  # as long as there is
+    assert preparation.window_length(log, 10, horizon=2.0) == (21, "windows are 2 s long, as the horizon says")
+    with pytest.raises(ValueError, match="horizon is -1"):
+        preparation.window_length(log, 10, horizon=-1)
