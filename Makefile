@@ -17,6 +17,12 @@ ifneq ($(words $(CURDIR)),1)
 $(error the folder "$(CURDIR)" has a blank in its path, which make cannot handle: move the checkout)
 endif
 
+# What `make identify` takes. Only what stands on the command line: TEST, FROM and TIME may be in anybody's environment. It is text, such
+# as the name of a file: `override` keeps make from reading $(...) in it, here, before anything else could; the shell has it by `export`.
+IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL TEST FROM TO DECIMATE DT RESAMPLE PREDICTOR DELAYS SMOOTHING LEAD HORIZON DRAWS
+TYPED := $(foreach name,RECORDING $(IDENTIFY),$(if $(and $(filter command,$(origin $(name))),$(value $(name))),$(name)))
+$(foreach name,$(TYPED),$(eval override $(name) := $$(value $(name)))$(eval export $(name)))
+
 # The same bits on every run: sums depend on the number of BLAS threads. Kernels choose the inline backend by themselves.
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
@@ -113,14 +119,11 @@ sweep: $(READY) ## explore |  | many fits: SWEEP=params/sweeps/dictionaries.yaml
 
 # RECORDING=log.csv, "a.csv b.csv" or "run*.csv", and where names are not plain ROLES=roles.yaml or STATES=a,b INPUTS=c TIME=t TRIAL=run; also
 # TEST= FROM= TO= DECIMATE= DT= RESAMPLE= PREDICTOR= DELAYS= SMOOTHING= LEAD= HORIZON= DRAWS= OUT= (docs/own_rig.md).
-IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL TEST FROM TO DECIMATE DT RESAMPLE PREDICTOR DELAYS SMOOTHING LEAD HORIZON DRAWS
-# Only what stands on the command line: TEST, FROM and TIME may be in anybody's environment.
-quoted = '$(subst ','\'',$(1))'
 lower = $(shell printf %s "$(1)" | tr A-Z a-z)
 
 identify: $(READY) ## your rig | 15 s | a model of your own system: make identify RECORDING=log.csv (docs/own_rig.md)
-	@$(if $(RECORDING),,echo "say which recording: make identify RECORDING=log.csv (make example writes one to try)" >&2; exit 2)
-	@$(PY) -m tras.identification.command $(call quoted,$(RECORDING)) $(foreach name,$(IDENTIFY),$(if $(and $(filter command,$(origin $(name))),$($(name))),--$(call lower,$(name))=$(call quoted,$($(name)))))
+	@$(if $(filter RECORDING,$(TYPED)),,echo "say which recording: make identify RECORDING=log.csv (make example writes one to try)" >&2; exit 2)
+	@$(PY) -m tras.identification.command $(foreach name,$(filter-out RECORDING,$(TYPED)),--$(call lower,$(name))="$$$(name)") -- "$$RECORDING"
 
 example: $(READY) ## your rig |  | recordings of two simulated systems to try it on, in build/example/
 	@$(PY) -m tras.identification.examples duffing build/example/duffing.csv
@@ -191,9 +194,9 @@ distclean: clean ## maintain |  | clean, and .venv too
 
 # --- how ---------------------------------------------------------------------------------------------------------------------------
 
-# A venv without its interpreter (the system's Python was replaced) is not ready whatever its stamp says. The stamp of the old venv
-# goes first and that of the new one comes last: an interrupted setup never counts.
-$(READY): $(if $(wildcard $(PY)),,FORCE)
+# A venv without its interpreter (the system's Python was replaced: a link that leads nowhere, which `wildcard` takes for a file) is not
+# ready whatever its stamp says. The stamp of the old venv goes first and that of the new one comes last: an interrupted setup never counts.
+$(READY): $(if $(realpath $(PY)),,FORCE)
 	@for lock in $(LOCKS); do test -s $$lock || { echo "$$lock is missing: restore it from git, or run make lock." >&2; exit 1; }; done
 	@$(check_python)
 	@echo "Creating .venv from environment.txt (once; half a minute to a few minutes)"

@@ -1,5 +1,7 @@
 """docs/own_rig.md: its commands run as they stand there, in a copy of the checkout."""
 
+import hashlib
+import json
 import os
 import re
 import shlex
@@ -10,7 +12,7 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import ROOT
+from conftest import HOSTILE, ROOT
 
 import tras
 from tras.identification import command
@@ -74,14 +76,14 @@ def test_the_page_is_whole_and_needs_no_network(checkout):
     text = (checkout / "build" / "identify" / "duffing" / "report.html").read_text(encoding="utf-8")
     tree = ElementTree.fromstring(text.removeprefix("<!DOCTYPE html>\n"))
     images = [image.get("src") for image in tree.iter(f"{NAME}img")]
-    assert len(images) == 5 and all(source.startswith("data:image/") for source in images)
+    assert len(images) == 6 and all(source.startswith("data:image/") for source in images)
     assert [h.text for h in tree.iter(f"{NAME}h2")][1:] == [
         "In short",
         "The recording",
-        "How the model was chosen",
         "How well it predicts",
         "The operator",
         "Files",
+        "How the model was chosen",
     ]
     assert "://" not in text.replace("http://www.w3.org/", "")
 
@@ -187,10 +189,125 @@ def test_names_with_commas_and_none():
     assert command._names('a, "b,c" ,d e') == ["a", "b,c", "d e"] and command._names("") == []
 
 
-def test_variables_of_the_environment_are_no_options():
+@pytest.fixture
+def alone(tmp_path):
+    """A folder with the Makefile and, in place of Python, a script that prints its arguments; it stands for .venv."""
+    for name in ("environment.txt", "environment-build.txt"):
+        (tmp_path / name).write_text("a lock\n")
+    shutil.copy(ROOT / "Makefile", tmp_path)
+    python = tmp_path / ".venv" / "bin" / "python"
+    python.parent.mkdir(parents=True)
+    python.write_text("#!/bin/sh\nprintf '%s\\0' \"$@\"\n")
+    python.chmod(0o755)
+    locked = hashlib.sha256(b"a lock\na lock\n").hexdigest()[:12]
+    (tmp_path / ".venv" / f".ready-{locked}").touch()
+    return tmp_path
+
+
+def arguments_of(folder, *words, **variables):
+    """What `make identify` hands to the command."""
     environment = {key: value for key, value in os.environ.items() if not key.startswith(("MAKE", "MFLAGS"))}
-    environment |= {"TEST": "no.csv", "FROM": "3", "TIME": "00:00", "OUT": "/"}
-    words = ["make", "-n", "identify", "RECORDING=a.csv", "TO=5"]
-    done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True)
-    command_line = done.stdout.strip().split("\n")[-1]
-    assert command_line.split()[-2:] == ["'a.csv'", "--to='5'"]
+    command_line = ["make", "identify", *words]
+    done = subprocess.run(command_line, cwd=folder, env=environment | variables, capture_output=True)
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    return done.stdout.decode().split("\0")[2:-1]  # after -m and the module
+
+
+def test_variables_of_the_environment_are_no_options(alone):
+    everything = dict.fromkeys(command_variables(), "no.csv") | {"RECORDING": "no.csv"}
+    assert arguments_of(alone, "RECORDING=a.csv", "TO=5", **everything) == ["--to=5", "--", "a.csv"]
+    environment = {**os.environ, "RECORDING": "a.csv"}
+    done = subprocess.run(["make", "identify"], cwd=alone, env=environment, capture_output=True, text=True)
+    assert done.returncode == 2 and "say which recording" in done.stderr
+
+
+def command_variables():
+    return re.search(r"^IDENTIFY := (.*)", (ROOT / "Makefile").read_text(), re.MULTILINE)[1].split()
+
+
+def test_every_variable_of_make_is_an_option(alone):
+    words = arguments_of(alone, "RECORDING=a.csv", *(f"{name}=1" for name in command_variables()))
+    options = {option for action in command._parser("")._actions for option in action.option_strings}
+    assert [word.removesuffix("=1") for word in words] == [f"--{n.lower()}" for n in command_variables()] + [
+        "--",
+        "a.csv",
+    ]
+    assert {word.removesuffix("=1") for word in words[:-2]} == options - {"-h", "--help"}
+
+
+def test_make_takes_text_as_it_is_typed(alone):
+    """`a$b.csv` is that file, $(shell ...) is not run, a line's end ends nothing."""
+    before = sorted(alone.rglob("*"))
+    for text in [*HOSTILE, "a$b.csv", "$$", "$(shell touch PWNED).csv", "${shell touch PWNED}", "$(eval X := 1)", "$"]:
+        text = text.lstrip()  # make takes blanks at the beginning away
+        if text.strip():
+            words = arguments_of(alone, f"RECORDING={text}", f"STATES={text}", f"OUT={text}")
+            assert words == [f"--out={text}", f"--states={text}", "--", text]
+    assert sorted(alone.rglob("*")) == before
+
+
+def test_an_interpreter_that_is_gone_is_not_ready(alone):
+    python = alone / ".venv" / "bin" / "python"
+    for replace in (python.unlink, lambda: python.symlink_to("/nonexistent/python")):
+        replace()
+        words = ["make", "-n", "identify", "RECORDING=a.csv"]
+        done = subprocess.run(words, cwd=alone, capture_output=True, text=True)
+        assert "Creating .venv" in done.stdout
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """Runs that got as far as the notebook: the folder of each."""
+    folders = []
+    monkeypatch.setattr(command, "_run", lambda out, parameters, root: folders.append(out) or 0.0)
+    return folders
+
+
+def results(folder, recording, *, finished=True):
+    """A folder as `make identify` leaves it."""
+    folder.mkdir(parents=True)
+    (folder / "report.html").touch()
+    (folder / command.LISTING).write_text(f"file\nreport.html\n{command.LISTING}\n")
+    if finished:
+        (folder / "identify.json").write_text(json.dumps({"parameters": {"recording": recording}}))
+
+
+def test_results_do_not_replace_files_of_others(tmp_path, monkeypatch, capsys, started):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "working_folder", lambda: tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    for name in (
+        "run1/log.csv",
+        "run2/log.csv",
+        "home/.keep",
+        "mine/report.html",
+        "mine/notes.txt",
+        "listed/contents.csv",
+    ):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("file\nother.txt\n")
+    (tmp_path / "empty").mkdir()
+    results(tmp_path / "build" / "identify" / "log", ["run1/log.csv"])
+    results(tmp_path / "killed", [], finished=False)
+    (tmp_path / "killed" / "my notes.txt").touch()
+    for folder, words in {
+        "/": "no folder for results", "~": "no folder for results", "home": "no folder for results",
+        "mine": "holds files of others, such as notes.txt; give a new folder, such as OUT=mine/identified",
+        "listed": "holds files of others, such as contents.csv", ".": "holds files of others",
+        "run2/log.csv": "is a file",
+    }.items():  # fmt: skip
+        assert command.main(["run1/log.csv", "--out", folder]) == 2
+        assert words in capsys.readouterr().err and not started
+    for folder in ("new", "new/below", "empty", "killed"):
+        assert command.main(["run1/log.csv", "--out", folder]) == 0
+    assert (
+        command.main(["run1/log.csv"]) == 0
+        and command.main(["run2/log.csv run1/log.csv", "--out", str(started[-1])]) == 0
+    )
+    capsys.readouterr()
+    count = len(started)
+    assert command.main(["run2/log.csv"]) == 2 and len(started) == count == 6
+    told = capsys.readouterr().err
+    assert "holds the results of run1/log.csv; give another folder" in told
+    assert f"OUT={tmp_path / 'build' / 'identify' / 'run2_log'}" in told
+    assert (tmp_path / "mine" / "report.html").read_text() == "file\nother.txt\n"

@@ -6,12 +6,14 @@
 Runs ``identify.ipynb``, which is a link to ``notebooks/`` and a file of the installed package, on the recording and
 writes to ``build/identify/NAME`` below the checkout or else the working folder, NAME being the recording's name:
 ``report.html``, the executed notebook, the model, its exports, tables and figures. If the recording cannot be used, it
-prints one sentence, exits with status 2 and leaves the folder as it was.
+prints one sentence, exits with status 2 and leaves the folder as it was. So it does if the folder holds files of others
+or the results of another recording.
 """
 
 import argparse
 import csv
 import glob
+import json
 import os
 import re
 import shlex
@@ -29,6 +31,7 @@ from tras.workflow.runner import Interrupted, RunError, interruptible, run_noteb
 # Errors that are a sentence about the recording or the call, not a fault of the program.
 _SENTENCES = ("RecordingError", "ValueError", "LogarithmError", "FileNotFoundError", "MissingExtraError")
 MODULE = "python -m tras.identification.command"  # what make runs
+LISTING = "contents.csv"  # of the folder; `tras.identification.folder` writes it
 NOTEBOOK = Path(__file__).with_name("identify.ipynb")
 
 
@@ -187,14 +190,38 @@ def _parameters(options, out, root):
     for what, path in files:
         if path.suffix.lower() not in FORMATS:
             raise ParameterError(f"{what}: {path} ends in {path.suffix!r}; recordings are {', '.join(FORMATS)} files.")
-    if out.exists() and not out.is_dir():
-        raise ParameterError(f"OUT: {out} is a file; give a folder.")
     paths = {"out_dir": out, "roles": options.roles}
     parameters = vars(options) | {name: _inside(path, root) if path else "" for name, path in paths.items()}
     parameters["recording"] = [_inside(path, root) for path in options.recording]
     parameters["test"] = [_inside(each, root) if isinstance(each, Path) else each for each in options.test]
     del parameters["out"]
+    _check_folder(out, parameters["recording"])
     return check_parameters(parameters, notebook_defaults(NOTEBOOK), "the command line")
+
+
+def _check_folder(out, recording):
+    """Refuse a folder that holds anything but an earlier identification of one of these recordings."""
+    if out.exists() and not out.is_dir():
+        raise ParameterError(f"OUT: {out} is a file; give a folder.")
+    if out.resolve() in (Path(out.resolve().anchor), Path(os.path.expanduser("~")).resolve()):
+        raise ParameterError(f"OUT: {out} is no folder for results; give a new one, such as OUT={out / 'identified'}.")
+    entries = sorted(path.name for path in out.iterdir()) if out.exists() else []
+    listing = (out / LISTING).read_text(encoding="utf-8", errors="replace") if LISTING in entries else ""
+    if entries and "report.html" not in listing.splitlines():
+        raise ParameterError(
+            f"OUT: {out} holds files of others, such as {entries[0]}; give a new folder, such as "
+            f"OUT={out / 'identified'}."
+        )
+    try:
+        before = json.loads((out / "identify.json").read_text(encoding="utf-8"))["parameters"]["recording"]
+    except (OSError, ValueError, KeyError, TypeError):  # of a run that was killed, or of an earlier release
+        return
+    if not set(before) & set(recording):
+        other = out.with_name("_".join([*Path(recording[0]).parent.parts[-1:], out.name]).strip("/"))
+        raise ParameterError(
+            f"OUT: {out} holds the results of {', '.join(before)}; give another folder, such as OUT={other}, or remove "
+            "that one."
+        )
 
 
 def _inside(path, root):

@@ -14,6 +14,7 @@ from tras.export.common import to_statespace
 from tras.export.equations import formulas
 from tras.export.matlab import to_matlab
 from tras.identification import figures
+from tras.identification.command import LISTING
 from tras.identification.examples import example
 from tras.identification.identification import Identification
 from tras.identification.page import write_page
@@ -22,7 +23,6 @@ from tras.recording import Recording
 from tras.workflow import page
 from tras.workflow.files import umask
 
-LISTING = "contents.csv"
 _READABLE = 300  # functions; of more no formulas are written
 
 

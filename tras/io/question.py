@@ -5,7 +5,7 @@ import io
 import shlex
 
 from tras.io.roles import Question, Roles
-from tras.workflow.arguments import one_line, short
+from tras.workflow.arguments import one_line, short, visible
 
 _LINES = 28  # of columns; the rest fits on a screen
 
@@ -57,11 +57,12 @@ def screen(question: Question, paths: list) -> str:
 def command(paths: list, roles: Roles) -> str:
     """The command line of `make identify` that reads these files with these roles."""
     recording = str(paths[0]) if len(paths) == 1 else " ".join(str(path).replace(" ", "\\ ") for path in paths)
+    recording = recording.replace("\n", " ")  # such a path is shown on the line, but cannot be pasted
     words = {"RECORDING": recording, "TIME": _listed([roles.time]) if roles.time else "none"}
     words |= {"STATES": _listed(roles.states), "INPUTS": _listed(roles.inputs) or "none"}
     words |= {"TRIAL": _listed([roles.trial])} if roles.trial else {}
     words |= {"DT": f"{roles.dt:g}"} if roles.dt else {}
-    return "make identify " + " ".join(f"{name}={shlex.quote(one_line(word))}" for name, word in words.items())
+    return "make identify " + " ".join(f"{name}={shlex.quote(visible(word))}" for name, word in words.items())
 
 
 def _called(roles, table):
