@@ -259,7 +259,7 @@ def test_an_interpreter_that_is_gone_is_not_ready(alone):
 def started(monkeypatch):
     """Runs that got as far as the notebook: the folder of each."""
     folders = []
-    monkeypatch.setattr(command, "_run", lambda out, parameters, root: folders.append(out) or 0.0)
+    monkeypatch.setattr(command, "_run", lambda out, parameters, root: folders.append(out) or (0.0, "q 1 %"))
     return folders
 
 

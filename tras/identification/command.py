@@ -46,7 +46,7 @@ def main(arguments: list[str] | None = None, program: str = MODULE) -> int:
         out = options.out or root / "build" / "identify" / (options.recording[0].stem + more)
         parameters = _parameters(options, out, root)
         with interruptible():
-            seconds = _run(out, parameters, root)
+            seconds, errors = _run(out, parameters, root)
     except (ParameterError, MissingExtraError) as error:
         print(visible(error), file=sys.stderr)
         return 2
@@ -60,7 +60,7 @@ def main(arguments: list[str] | None = None, program: str = MODULE) -> int:
     except Interrupted as interrupt:
         print("identify was interrupted; no results were written.", file=sys.stderr)
         return 128 + interrupt.args[0]
-    print(visible(f"{_inside(out, Path.cwd())}/report.html  {seconds:.0f} s  {_numbers_of_test(out)}"))
+    print(visible(f"{_inside(out, Path.cwd())}/report.html  {seconds:.0f} s  {errors}"))
     return 0
 
 
@@ -231,7 +231,7 @@ def _inside(path, root):
 
 
 def _run(out, parameters, root):
-    """Run the notebook in a folder beside ``out``, and move the executed notebook into ``out`` at the very end."""
+    """Seconds and errors: run the notebook in a folder beside ``out``, and move the executed notebook into ``out`` at the very end."""
     out.parent.mkdir(parents=True, exist_ok=True)
     aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.run.", dir=out.parent))
     try:
@@ -247,7 +247,7 @@ def _run(out, parameters, root):
         raise
     finally:
         shutil.rmtree(aside, ignore_errors=True)
-    return seconds
+    return seconds, _numbers_of_test(out)
 
 
 if __name__ == "__main__":
