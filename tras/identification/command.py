@@ -231,7 +231,7 @@ def _inside(path, root):
 
 
 def _run(out, parameters, root):
-    """Seconds and errors: run the notebook in a folder beside ``out``, and move the executed notebook into ``out`` at the very end."""
+    """Run the notebook beside ``out``, move the executed one there at the very end: seconds, and the test in words."""
     out.parent.mkdir(parents=True, exist_ok=True)
     aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.run.", dir=out.parent))
     try:
