@@ -66,6 +66,8 @@ def save(model, path):
     """See `tras.KoopmanModel.save`."""
     arrays = {key: value for key in _ARRAYS if (value := getattr(model, key, None)) is not None}
     parameters = {key: value for key, value in model.get_params(deep=False).items() if key != "dictionary"}
+    if not parameters["lead"]:
+        del parameters["lead"]  # then the file is as earlier releases write and read it
     header = {
         "format": _FORMAT,
         "versions": versions(),

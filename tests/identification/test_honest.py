@@ -78,6 +78,9 @@ def test_a_lead_is_the_input_one_sample_earlier(predictor, delays, tmp_path):
     assert np.allclose(whole, part, rtol=0, atol=1e-9 * np.ptp(part))
     model.save(tmp_path / "model.npz")
     assert np.array_equal(tras.load_model(tmp_path / "model.npz").predict(log)[0], whole)
+    plain.save(tmp_path / "plain.npz")  # the bytes of a model without a lead are those of earlier releases
+    with np.load(tmp_path / "plain.npz") as file:
+        assert "lead" not in str(file["header"])
     tras.export.to_c(model, tmp_path / "model.c")
     assert "the input at the end of a sample" in (tmp_path / "model.h").read_text()
     with pytest.raises(ValueError, match="lead is 2"):
