@@ -84,7 +84,13 @@ def verdict(identification) -> str:
         parts.append(f"in a free run over the whole test ({longest:.3g} s) by {_range_of(of_model['free'])}")
     if lost := int(of_model["diverged"].iloc[0]):
         parts.append(f"{lost} of {int(of_model['windows'].iloc[0])} predictions ran away")
-    return f"{'; '.join(parts)}. {_comparison(table, moving, identification.model.dictionary, remark)}."
+    errors, comparison = "; ".join(parts), _comparison(table, moving, identification.model.dictionary, remark)
+    if comparison.startswith(_BETTER):  # what decides whether to use it comes first
+        return f"{comparison}. {errors}."
+    return f"{errors}. {comparison}."
+
+
+_BETTER = ("Do not use it", "A linear model is better", "A linear model ran away less")
 
 
 def _range_of(errors):
