@@ -175,7 +175,9 @@ def is_harmless(html):
     tree = ElementTree.fromstring(html.removeprefix("<!DOCTYPE html>\n"))
     tags = {element.tag.rpartition("}")[2] for element in tree.iter()}
     attributes = {(name, value) for element in tree.iter() for name, value in element.items()}
-    outside = [v for name, v in attributes if name in ("href", "src") and not v.startswith(("#", "data:"))]
+    # An anchor, or a file of the page's own folder.
+    inside = re.compile(r"#.*|data:.*|(?!.*\.\.)[\w.-]+(/[\w.-]*)*", re.ASCII | re.DOTALL)
+    outside = [v for name, v in attributes if name in ("href", "src") and not inside.fullmatch(v)]
     return (
         not tags & {"script", "iframe", "object", "form"}
         and not outside
