@@ -1,4 +1,4 @@
-"""False alarms and power of the residual tests (`tras/residuals.py`), by simulation with fixed seeds.
+"""False alarms and power of the residual tests (`tras/analysis/residuals.py`), by simulation with fixed seeds.
 
     .venv/bin/python benchmarks/residual_tests.py [--cases 10000] [--only alarms|power]
 
@@ -22,7 +22,7 @@ from scipy.signal import lfilter  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
 import tras  # noqa: E402
-from tras.residuals import Series, correlation_tests  # noqa: E402
+from tras.analysis.residuals import Series, correlation_tests  # noqa: E402
 
 LAGS, LEVEL = 25, 0.01
 NOISES = {

@@ -20,7 +20,7 @@ CHECKED = [
     "recording.py",
     "estimator.py",
     "model.py",
-    "residuals.py",
+    "analysis/residuals.py",
     "plotting.py",
     "display",
     "twin_rotor",

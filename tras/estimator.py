@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
-    from tras.residuals import Residuals
+    from tras.analysis.residuals import Residuals
 
 
 @dataclass(frozen=True)
@@ -261,7 +261,7 @@ class Estimator(BaseEstimator):
         Returns
         -------
         Residuals
-            `tras.residuals.Residuals`: ``white``, ``verdict``, ``table`` of the tests, ``correlations``, ``errors``,
+            Of `tras.analysis.residuals`: ``white``, ``verdict``, ``table`` of the tests, ``correlations``, ``errors``,
             ``plot()``.
 
         Raises
@@ -281,7 +281,7 @@ class Estimator(BaseEstimator):
         >>> model.residuals(recording[[1]]).white
         True
         """
-        from tras import residuals
+        from tras.analysis import residuals
 
         return residuals.residuals(self, recording, steps=steps, lags=lags, significance=significance)
 
@@ -321,7 +321,7 @@ class Estimator(BaseEstimator):
         >>> bool(small.information_criteria(recording)["BIC"][0] < large.information_criteria(recording)["BIC"][0])
         True
         """
-        from tras import residuals
+        from tras.analysis import residuals
 
         return residuals.criteria(self, recording, parameters)
 

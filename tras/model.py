@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 from sklearn.base import clone
 
-from tras import linearization, model_file, summary
+from tras import model_file, summary
+from tras.analysis import linearization
 from tras.dictionaries.base import Dictionary
 from tras.estimator import Estimator
 from tras.hull import over_a_sample

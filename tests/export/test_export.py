@@ -14,8 +14,8 @@ from scipy.io import loadmat, savemat
 from sklearn.base import clone
 
 import tras
+from tras.analysis.linearization import StateSpace
 from tras.export import common, symbols
-from tras.linearization import StateSpace
 
 CC = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 OCTAVE = shutil.which("octave-cli") or shutil.which("octave")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import tras
-from tras.linearization import StateSpace
+from tras.analysis.linearization import StateSpace
 from tras.model import KoopmanModel
 from tras.workflow.arguments import in_code
 

@@ -10,9 +10,9 @@ from scipy import stats
 from scipy.signal import lfilter
 
 import tras
-from tras import residuals
+from tras.analysis import residuals
+from tras.analysis.residuals import Series, correlation_tests, variance_of_portmanteau
 from tras.paper.baselines.linear import DMDc
-from tras.residuals import Series, correlation_tests, variance_of_portmanteau
 
 sys.path.insert(0, str(ROOT / "benchmarks"))
 import residual_tests as study  # noqa: E402

@@ -9,7 +9,7 @@ from conftest import linear_system
 from scipy import linalg
 
 import tras
-from tras.linearization import StateSpace
+from tras.analysis.linearization import StateSpace
 
 
 def pendulum(predictor, delays=0, seed=0, dictionary=None, **options):
