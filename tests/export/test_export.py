@@ -277,6 +277,15 @@ def test_state_space_simulates_what_the_model_simulates(case, fitted, experiment
     assert all(np.array_equal(getattr(plain, name), getattr(system, name)) for name in "ABCD")
 
 
+def test_a_state_space_without_inputs_is_a_named_tuple():
+    """python-control has no such systems."""
+    free = tras.Recording(np.random.default_rng(0).uniform(-1, 1, (5, 20, 1)), None, 0.1)
+    model = tras.KoopmanModel(tras.Monomials(2), "lifted_linear").fit(free)
+    system, z = tras.export.to_statespace(model), model.lift([0.3])
+    assert isinstance(system, StateSpace) and system.B.shape == (3, 0)
+    assert np.allclose(system.C @ system.A @ z, model.simulate([0.3], np.empty((2, 0)))[1], rtol=0, atol=1e-12)
+
+
 # --- formulas --------------------
 
 

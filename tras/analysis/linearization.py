@@ -70,19 +70,24 @@ def _of_lifting(model):
 
 def _system(model, A, B, C, states):
     system = StateSpace(A, B, C, np.zeros((len(C), B.shape[1])), float(model.dt_))
-    if not B.shape[1]:  # python-control has no systems without inputs
-        return system
-    try:
-        import control
-    except ImportError:
-        return system
     signals = [name.replace(".", "_") for name in (*model.state_names_, *model.input_names_)]  # it allows no dot
     outputs, inputs = signals[: len(C)], signals[len(C) :]
     if len(set(signals)) < len(signals):
         outputs, inputs = [f"x{i + 1}" for i in range(len(C))], [f"u{i + 1}" for i in range(len(inputs))]
     states = [name.replace(".", "_") for name in states]
     states = states if len(set(states)) == len(states) else [f"z{i + 1}" for i in range(len(states))]
-    return control.ss(*system, inputs=inputs, outputs=outputs, states=states, name="linearized")
+    return for_control(system, inputs=inputs, outputs=outputs, states=states, name="linearized")
+
+
+def for_control(system: StateSpace, **labels) -> Any:
+    """The matrices as a system of python-control with these labels; as they are without it, or without inputs."""
+    if not system.B.shape[1]:  # python-control has no such systems
+        return system
+    try:
+        import control
+    except ImportError:
+        return system
+    return control.ss(*system, **labels)
 
 
 def _point(model, x, u):

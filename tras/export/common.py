@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import tras
-from tras.analysis.linearization import StateSpace
+from tras.analysis.linearization import StateSpace, for_control
 from tras.model import KoopmanModel
 from tras.workflow.arguments import in_code
 
@@ -115,7 +115,8 @@ def to_statespace(model: KoopmanModel) -> Any:
     Returns
     -------
     control.StateSpace or StateSpace
-        With python-control the former, with the names of the channels; otherwise a named tuple ``(A, B, C, D, dt)``.
+        With python-control the former, with the names of the channels; otherwise, and for a model without inputs, a named
+        tuple ``(A, B, C, D, dt)``.
 
     Raises
     ------
@@ -141,9 +142,5 @@ def to_statespace(model: KoopmanModel) -> Any:
     C[:, 0] = model.x_offset_
     C[np.arange(n), model.dictionary_.coordinates[:n]] = model.x_scale_
     system = StateSpace(A, B, C, np.zeros((n, m)), float(model.dt_))
-    try:
-        import control
-    except ImportError:
-        return system
     names = identifiers((*model.state_names_, *model.input_names_))
-    return control.ss(*system, inputs=names[n:], outputs=names[:n], states=[f"z{i}" for i in range(len(A))])
+    return for_control(system, inputs=names[n:], outputs=names[:n], states=[f"z{i}" for i in range(len(A))])
