@@ -232,5 +232,9 @@ def _positive(scale, what):
 
 def multi_step_error(predicted: np.ndarray, held: "Recording", n: int) -> float:
     """Root mean square of roll-outs (samples, n', trajectories) in half-ranges; a sample counts 10 at most."""
-    error = np.abs(predicted[:, :n].transpose(2, 0, 1) - held.states[..., :n])
-    return float(np.sqrt(np.mean(np.minimum(np.nan_to_num(error, nan=10.0), 10.0) ** 2)))
+    return float(np.sqrt(np.mean(capped(predicted[:, :n].transpose(2, 0, 1) - held.states[..., :n]) ** 2)))
+
+
+def capped(error: np.ndarray) -> np.ndarray:
+    """Absolute errors in half-ranges, a sample 10 at most; so much counts one that was lost (NaN), too."""
+    return np.minimum(np.nan_to_num(np.abs(error), nan=10.0), 10.0)

@@ -216,7 +216,29 @@ def test_ties_within_the_spread_over_windows_go_to_the_simpler_one():
     assert chosen(leader * 1.05) == 100  # worse in each window, by as much
 
 
-@pytest.mark.parametrize("lengths", [[500], [400, 60], [90, 90, 90, 90, 90, 90], [30] * 12])
+def test_a_trial_too_short_for_the_delays_is_left_out():
+    log = same_instant(600)
+    trials = (
+        [log.states[0][k : k + 90] for k in range(0, 540, 90)],
+        [log.inputs[0][k : k + 90] for k in range(0, 540, 90)],
+    )
+    states, inputs = ([*part[:-1], part[-1][:3]] for part in trials)
+    broken = tras.Recording(states, inputs, log.dt)
+    identification = tras.identify(broken, draws=0, predictor="one_step", delays=[4], lead=1, smoothing=False)
+    assert identification.model.delays == 4 and np.isfinite(of(identification)["nrmse"]).all()
+
+
+def test_a_linear_model_that_is_chosen_is_the_linear_one():
+    rng, x = np.random.default_rng(0), np.zeros(800)
+    u = np.repeat(rng.uniform(-1, 1, 80), 10)
+    for k in range(799):
+        x[k + 1] = 0.9 * x[k] + 0.1 * u[k]
+    log = one(x + rng.normal(0, 0.003, 800), u, 0.1)
+    identification = tras.identify(log, draws=0, predictor="one_step", delays=[0], lead=0, smoothing=False)
+    assert identification.linear is identification.model  # one fit, one curve in the figure of the free run
+
+
+@pytest.mark.parametrize("lengths", [[500], [400, 60], [90] * 6, [90, 90, 90, 90, 3], [90, 3, 3, 3, 90], [30] * 12])
 def test_what_is_held_out_and_what_is_learnt_from_are_all_pairs(lengths):
     learn, judge = preparation.held_out(np.array(lengths), 10)
     pairs = [(i, k) for i, a, b in learn + judge for k in range(a, b)]

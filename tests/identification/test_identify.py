@@ -381,9 +381,13 @@ def test_too_little_excitation_short_and_unstable():
     u = rng.uniform(-1, 1, (10, 40, 1))
     for k in range(39):
         growing[:, k + 1] = 1.1 * growing[:, k] + u[:, k]
-    told = abouts(R(growing, u, 0.1))
-    # An operator that grows is said only where it costs the user something: here the test is predicted.
-    assert "an unstable operator" not in told
+    log = R(growing, u, 0.1)
+    result = tras.identify(log, predictor="one_step", delays=[0], smoothing=False, draws=0)
+    # An operator that grows is said where it costs the user something: here the test is predicted, then it is not.
+    assert "an unstable operator" not in [each.about for each in result.advice]
+    lost = result.metrics.assign(free=np.where(result.metrics["prediction"] == "model", np.inf, result.metrics["free"]))
+    told = {each.about: each for each in advice.of(result._replace(metrics=lost), log)}
+    assert "doubles every 0.727 s" in told["an unstable operator"].text
 
 
 # --- files ---

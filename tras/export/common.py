@@ -115,8 +115,8 @@ def to_statespace(model: KoopmanModel) -> Any:
     Returns
     -------
     control.StateSpace or StateSpace
-        With python-control the former, with the names of the channels; otherwise, and for a model without inputs, a named
-        tuple ``(A, B, C, D, dt)``.
+        With python-control the former, with the names of the channels; otherwise, and for a model without inputs, a
+        named tuple ``(A, B, C, D, dt)``.
 
     Raises
     ------

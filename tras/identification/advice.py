@@ -7,10 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tras.dictionaries.base import label
 from tras.display.html import in_notebook
 from tras.identification.checks import beyond
 from tras.identification.noise import noise_level
 from tras.identification.scores import CONSTANT, HELD
+from tras.identification.search import LINEAR_DICTIONARY
 from tras.workflow import page
 from tras.workflow.arguments import short
 
@@ -90,6 +92,7 @@ def verdict(identification) -> str:
     return f"{errors}. {comparison}."
 
 
+_WORSE = 1.05  # errors beyond this ratio to a linear model's are worse
 _BETTER = ("Do not use it", "A linear model is better", "A linear model ran away less")
 
 
@@ -118,7 +121,7 @@ def _comparison(table, moving, dictionary, remark):
     if trivial[better] < ours:
         what = "that nothing changes" if better == HELD else "the mean of the training data"
         return f"Do not use it: to predict {what} is better (its error is {trivial[better] / ours:.2g} times as large)"
-    if is_linear(dictionary):
+    if label(dictionary) == LINEAR_DICTIONARY:
         return f"The model is linear: {remark}" if remark else "The model is linear; no nonlinear one was better"
     lost = {name: table.loc[name, "diverged"].iloc[0] for name in ("model", "linear model")}
     if lost["model"] > lost["linear model"]:
@@ -126,7 +129,7 @@ def _comparison(table, moving, dictionary, remark):
     ratio = error_of(table, "linear model", moving) / ours
     if lost["linear model"] > lost["model"] or not math.isfinite(ratio):
         return "The linear model ran away" + (" more often" if lost["model"] else "")
-    if ratio < 1 / 1.05:
+    if ratio < 1 / _WORSE:
         return f"A linear model is better: its error is {ratio:.2g} times as large"
     if ratio < 1.1:
         return "A linear model is about as good"
@@ -138,24 +141,17 @@ def worse_than_linear(metrics) -> str:
     table = metrics.set_index(["prediction", "state"])
     moving = table.loc["model", "moves"].to_numpy(dtype=bool)
     lost, of_linear = (int(table.loc[name, "diverged"].iloc[0]) for name in ("model", "linear model"))
-    windows = int(table.loc["model", "windows"].iloc[0])
-    if lost != of_linear:
-        return (
-            f"it ran away in {lost} of {windows} test windows, a linear model in {of_linear}"
-            if lost > of_linear
-            else ""
-        )
-    free = [np.isfinite(table.loc[name, "free"]).all() for name in ("model", "linear model")]
-    if free[0] != free[1]:
-        return "its free run over the test ran away, that of a linear model did not" if free[1] else ""
+    holds, linear_holds = (np.isfinite(table.loc[name, "free"]).all() for name in ("model", "linear model"))
+    if lost > of_linear:
+        windows = int(table.loc["model", "windows"].iloc[0])
+        return f"it ran away in {lost} of {windows} test windows, a linear model in {of_linear}"
+    if lost == of_linear and linear_holds and not holds:
+        return "its free run over the test ran away, that of a linear model did not"
+    if lost < of_linear or holds and not linear_holds:
+        return ""
     moving = moving if moving.any() else ~moving
     ratio = error_of(table, "model", moving) / error_of(table, "linear model", moving)
-    return f"its error in the test is {ratio:.3g} times that of a linear model" if ratio > 1.05 else ""
-
-
-def is_linear(dictionary) -> bool:
-    """Whether a model with this dictionary is linear."""
-    return type(dictionary).__name__ == "Monomials" and dictionary.degree == 1
+    return f"its error in the test is {ratio:.3g} times that of a linear model" if ratio > _WORSE else ""
 
 
 def _verdict(identification):

@@ -13,7 +13,7 @@ from tras.identification.advice import AdviceList, verdict
 from tras.identification.bootstrap import bootstrap, prediction_band
 from tras.identification.checks import Checks, check
 from tras.identification.scores import compare, growth, typical_and_worst
-from tras.identification.search import CLOSE, best, search, without_first
+from tras.identification.search import CLOSE, LINEAR_DICTIONARY, best, search, without_first
 from tras.model import KoopmanModel
 from tras.recording import Recording, join
 from tras.solver.threads import one_blas_thread
@@ -139,14 +139,18 @@ def _identify(log, predictor, delays, smoothing, lead, horizon, draws, seed):
     windows = preparation.windows(test_log, samples, latest, TESTED)
 
     row, model = _fitted(table, training)
-    linear_row, linear = _fitted(table[table["dictionary"] == "Monomials(degree=1)"], training)
-    models, choice_remarks = {CHOSEN: model, LINEAR: linear}, []
-    metrics, runs = compare(models, windows, test_log, training.whole(row["states"]), latest)
+    linear_row, linear = row, model
+    if not (row["chosen"] and row["dictionary"] == LINEAR_DICTIONARY):
+        linear_row, linear = _fitted(table[table["dictionary"] == LINEAR_DICTIONARY], training)
+
+    def tested():
+        return compare({CHOSEN: model, LINEAR: linear}, windows, test_log, training.whole(row["states"]), latest)
+
+    (metrics, runs), choice_remarks = tested(), []
     if remark := advice.worse_than_linear(metrics):
         choice_remarks.append(f"{short(label(model), 80)} was chosen, but {remark}; so the linear one is delivered")
         row, model = linear_row, linear
-        models[CHOSEN] = model
-        metrics, runs = compare(models, windows, test_log, training.whole(row["states"]), latest)
+        metrics, runs = tested()
     table["chosen"] = table.index == row.name
     train = training.whole(row["states"])
     delivered = _refitted(model, preparation.Treatments(recording, pairs, FITTED).whole(row["states"]))
@@ -178,8 +182,9 @@ def _fitted(table, training):
     reason = None
     for _, row in order.iterrows():
         try:
-            model = clone(row["model"]).fit(training.whole(row["states"]))  # chooses the strength for so many pairs
-            return row, _refitted(model, training.whole(row["states"]))
+            recording = _long_enough(training.whole(row["states"]), row["model"])
+            model = clone(row["model"]).fit(recording)  # chooses the strength for so many pairs, if there is a choice
+            return row, _refitted(model, recording) if hasattr(model, "errors_") else model
         except ValueError as error:
             reason = error
     raise ValueError(f"no candidate could be fitted to all of the training data{f': {reason}' if reason else ''}")
@@ -190,11 +195,15 @@ def _refitted(model, recording):
 
     It stays as it is where the new data do not allow that.
     """
-    recording = recording[recording.lengths > model.delays + 1]
     try:
-        return clone(model).set_params(strength=float(model.strength_)).fit(recording)
+        return clone(model).set_params(strength=float(model.strength_)).fit(_long_enough(recording, model))
     except ValueError:
         return model
+
+
+def _long_enough(recording, model):
+    """The trajectories that have a snapshot pair behind the model's delays."""
+    return recording[recording.lengths > model.delays + 1]
 
 
 def _overlay(runs, truth, model, ensemble, latest):

@@ -208,8 +208,8 @@ def _metrics(identification):
         "Enr",
         "free run: NRMSE (%)",
         "BFR (%)",
+        "diverged",
     ]
-    head.append("diverged")
     return page.table(head, rows, "Test.", keys=2)
 
 

@@ -114,14 +114,16 @@ def _moving_fifth(recording, edges):
 def held_out(lengths: np.ndarray, fewest: int) -> tuple[list, list]:
     """Stretches (trajectory, first, last sample) to learn from, and those to judge a choice by; each pair is in one.
 
-    Of five trajectories or more, every fifth one is to judge by. Otherwise it is the third and the eighth tenth of each
-    trajectory, or the third fifth where a tenth has fewer than ``fewest`` samples.
+    Of five trajectories or more that have ``fewest`` samples, every fifth one is to judge by. Otherwise it is the third
+    and the eighth tenth of each trajectory, or the third fifth where a tenth has fewer than ``fewest`` samples.
     """
     learn, judge = [], []
+    long = np.flatnonzero(lengths >= fewest)
+    if len(long) >= _FEWEST_TRIALS:
+        for i, length in enumerate(map(int, lengths)):
+            (judge if i in long[4::5] else learn).append((i, 0, length - 1))
+        return learn, judge
     for i, length in enumerate(map(int, lengths)):
-        if len(lengths) >= _FEWEST_TRIALS:
-            (judge if i % 5 == 4 and length >= fewest else learn).append((i, 0, length - 1))
-            continue
         parts, of_judge = (10, (2, 7)) if (length - 1) // 10 >= fewest else (5, (2,))
         if (length - 1) // parts < fewest - 1:
             learn.append((i, 0, length - 1))

@@ -1,5 +1,7 @@
 """How well models predict trajectories by which nothing was chosen or fitted, beside two trivial predictions."""
 
+from functools import cache
+
 import numpy as np
 import pandas as pd
 
@@ -45,7 +47,12 @@ def compare(
     horizons = {
         name: (max(map(len, part)) - 1) * windows.dt for name, part in (("horizon", true), ("free_horizon", full))
     }
-    runs, free = ({name: roll_outs(model, part, latest) for name, model in models.items()} for part in (windows, whole))
+
+    @cache  # a model may stand there under two names
+    def predicted(model):
+        return roll_outs(model, windows, latest), roll_outs(model, whole, latest), _one_step(model, windows, span)
+
+    runs, free = ({name: predicted(model)[i] for name, model in models.items()} for i in (0, 1))
     for into, truth in ((runs, true), (free, full)):
         into[HELD] = [np.repeat(x[:1], len(x), axis=0) for x in truth]
         into[CONSTANT] = [np.repeat(past.mean(axis=0)[None], len(x), axis=0) for x in truth]
@@ -57,7 +64,7 @@ def compare(
         judged = common or [k for k in range(len(true)) if name not in lost or not lost[name][k]] or [0]
         scores = metrics.judge([true[k] for k in judged], [run[k] for k in judged], span=span)
         long = metrics.judge(full, free[name], span=span)
-        one_step = _one_step(models[name], windows, span) if name in models else np.nan
+        one_step = predicted(models[name])[2] if name in models else np.nan
         values = {key: getattr(scores, key) for key in ("nrmse", "bfr", "enr")}
         values |= {"windows": len(true), "diverged": int(lost[name].sum()) if name in lost else 0}
         gone = long.diverged == long.windows or name in models and long.diverged

@@ -21,7 +21,7 @@ from tras.dictionaries.radial import GaussianRBF
 from tras.fitting import hold_out
 from tras.identification import preparation
 from tras.identification.preparation import Treatments, is_noisy
-from tras.metrics import diverged, multi_step_error
+from tras.metrics import capped, diverged, multi_step_error
 from tras.model import KoopmanModel
 from tras.recording import Recording, join
 
@@ -32,6 +32,7 @@ _CHANNELS = 60  # at most, earlier samples included, with a dictionary that is n
 _AVERAGED = 0.01  # noise, as a share of the range, from which on delays help though all velocities are measured
 _LINEAR_CHANNELS = 300  # at most, earlier samples included, with a linear one
 _FREE = 3000  # samples of a free run in the search, at most
+LINEAR_DICTIONARY = label(Monomials(1))  # how tables call it
 CLOSE = 1.1  # errors within ten percent count as equal: the model with fewer functions is then better
 _ROUNDING = 1e-10  # half-ranges; smaller errors are all the same
 _HOPEFUL = 1.3  # errors in one step, over the least, up to which a vector field with the same dictionary is tried
@@ -112,10 +113,11 @@ def choose(recording: Recording, models: Iterable | None = None) -> tuple[Koopma
             "record more, or fit one model."
         )
     latest = max(getattr(model, "delays", 0) for model in models)
-    table = pd.DataFrame([
-        {"candidate": label(model), **_told(attempt(model, train, windows, latest)), "model": model}
+    rows = [
+        {"candidate": label(model), **attempt(model, train, windows, latest), "model": model}
         for model in tqdm(models, desc="choose", leave=False, disable=None)
-    ])  # fmt: skip
+    ]
+    table = pd.DataFrame(rows)[["candidate", "functions", "strength", "error", "failure", "model"]]
     table["chosen"] = table.index == best(table).name
     return clone(models[int(table["chosen"].argmax())]).fit(recording), table
 
@@ -188,7 +190,7 @@ def search(
     ]
     table = attempt_all(1, "treatments and delays", models)
     leaders = [best(table, CLOSE)]
-    curved = table[table["dictionary"] != label(Monomials(1))]
+    curved = table[table["dictionary"] != LINEAR_DICTIONARY]
     if np.isfinite(curved["error"]).any():  # few delays may suit a dictionary that is not linear, many a linear one
         leaders.append(best(curved, CLOSE))
     settings = [(row["states"], int(row["delays"]), int(row["lead"])) for row in leaders]
@@ -202,13 +204,14 @@ def search(
     table = attempt_all(2, "dictionaries", models)
     if predictor is None:  # a field is integrated: several evaluations per sample, so only where one step does well
         least = table["error"].min()
-        good = {(row["states"], label(row["model"])) for _, row in table.iterrows() if row["error"] <= _HOPEFUL * least}
+        hopeful = table[table["error"] <= _HOPEFUL * least]
+        good = set(zip(hopeful["states"], hopeful["delays"], hopeful["dictionary"]))
         models = [
             (name, KoopmanModel(dictionary, "vector_field", d, lead=k))
             for name, d, k in settings
             if not d or not recording.m  # with delays a vector field could not know the earlier inputs
             for dictionary in _dictionaries_of(parts[name], d, pairs, "vector_field")
-            if isinstance(dictionary, Mechanical) or (name, label(KoopmanModel(dictionary, "one_step", d))) in good
+            if isinstance(dictionary, Mechanical) or (name, d, label(dictionary)) in good
         ]
         table = attempt_all(2, "vector fields", models)
     table["chosen"] = table.index == best(table, CLOSE).name
@@ -267,14 +270,13 @@ def attempt(model, train: Recording, windows: Recording, latest: int, blocks: Re
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # divergence is part of the error, not a warning
             truth, predicted = windows.states[:, latest:], np.stack(roll_outs(model.fit(train), windows, latest))
-            apart = error = relative_error(truth, predicted, half_range)
-            capped = np.minimum(np.nan_to_num(np.abs(predicted - truth) / half_range, nan=10.0), 10.0)
-            squares, lost = np.mean(capped**2, axis=(1, 2)), int(diverged(truth, predicted).sum())
+            squares = np.mean(capped((predicted - truth) / half_range) ** 2, axis=(1, 2))
+            apart = error = float(np.sqrt(np.mean(squares)))
+            lost = int(diverged(truth, predicted).sum())
             if blocks is not None:
-                runs = roll_outs(model, blocks, latest)
-                both = zip((x[latest:] for x, _ in blocks), runs)
-                free = np.concatenate([np.abs(run - x) / half_range for x, run in both])
-                free = float(np.sqrt(np.mean(np.minimum(np.nan_to_num(free, nan=10.0), 10.0) ** 2)))
+                runs = zip(roll_outs(model, blocks, latest), blocks)
+                misses = np.concatenate([(run - x[latest:]) / half_range for run, (x, _) in runs])
+                free = float(np.sqrt(np.mean(capped(misses) ** 2)))
                 error = math.sqrt(apart * free)
     except (ValueError, MemoryError) as reason:
         failure = str(reason)
@@ -282,10 +284,6 @@ def attempt(model, train: Recording, windows: Recording, latest: int, blocks: Re
     size = {"functions": functions, "strength": getattr(model, "strength_", np.nan)}
     scores = {"error": error, "windows": apart, "free": free, "lost": lost, "failure": failure, "squares": squares}
     return size | scores
-
-
-def _told(scores):
-    return {key: scores[key] for key in ("functions", "strength", "error", "failure")}
 
 
 def roll_outs(model, starts: Recording, latest: int) -> list[np.ndarray]:
