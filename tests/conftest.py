@@ -141,3 +141,14 @@ def visible_texts(figure):
             }
     texts = [t for t in figure.findobj(Text) if t not in hidden and t.get_visible() and t.get_text().strip()]
     return canvas.get_renderer(), texts
+
+
+def at(index, value):
+    """A change of one number of an array."""
+
+    def change(array):
+        array = array.astype(float)
+        array.flat[index] = value
+        return array
+
+    return change

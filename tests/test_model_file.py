@@ -7,6 +7,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from conftest import at
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -53,17 +54,6 @@ def refused(path, words):
         tras.load_model(path)
     sentence = str(caught.value)
     assert sentence.startswith(f"{path} cannot be read as a model (") and "\n" not in sentence and len(sentence) < 400
-
-
-def at(index, value):
-    """A change of one number of an array."""
-
-    def change(array):
-        array = array.astype(float)
-        array.flat[index] = value
-        return array
-
-    return change
 
 
 ARRAYS = {

@@ -103,7 +103,7 @@ def load(path, make):
             error if isinstance(error, ValueError) else "its header or an array is not of the kind that a model has"
         )
         raise ValueError(
-            f"{path} cannot be read as a model ({' '.join(str(reason).split())}); save it again with KoopmanModel.save."
+            f"{path} cannot be read as a model ({arguments.one_line(reason)}); save it again with KoopmanModel.save."
         ) from error
 
 

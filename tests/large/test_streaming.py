@@ -7,6 +7,7 @@ import tracemalloc
 import h5py
 import numpy as np
 import pytest
+from conftest import at
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -524,31 +525,22 @@ def altered(key, change):
     return alter
 
 
-def number(index, value):
-    def change(array):
-        array = array.astype(float)
-        array.flat[index] = value
-        return array
-
-    return change
-
-
 MADE = {
-    "NaN in the products": (altered("solver.gram", number(0, np.nan)), "its gram holds a number that is not finite"),
+    "NaN in the products": (altered("solver.gram", at(0, np.nan)), "its gram holds a number that is not finite"),
     "other products": (altered("solver.gram", lambda a: a[1:]), "its gram has the shape"),
-    "a negative square": (altered("solver.gram", number(0, -9.0)), "its gram does not hold products of rows"),
+    "a negative square": (altered("solver.gram", at(0, -9.0)), "its gram does not hold products of rows"),
     "another basis": (altered("solver.T", lambda a: a * 0), "its T is no basis"),
-    "a scale of zero": (altered("solver.scale", number(0, 0.0)), "its scale holds a number"),
+    "a scale of zero": (altered("solver.scale", at(0, 0.0)), "its scale holds a number"),
     "bits without end": (altered("solver.bits", lambda a: np.array(10**9)), "its bits is 1000000000, not a whole"),
     "no rows": (altered("solver.rows", lambda a: np.array(0)), "its rows holds a number"),
     "rows that are none": (altered("solver.rows", lambda a: np.array(1.5)), "its rows is 1.5, not a whole number"),
     "waiting rows": (altered("solver.waiting_targets", lambda a: np.zeros((1, 1))), "its waiting_targets has the"),
     "more than rows": (altered("solver.os", lambda a: np.ones(1)), "it holds arrays that are no part of a fit"),
     "more": (altered("os", lambda a: np.ones(1)), "it holds arrays that are no part of a fit"),
-    "a hull": (altered("hull.low", number(0, np.nan)), "its hull.low holds a number"),
+    "a hull": (altered("hull.low", at(0, np.nan)), "its hull.low holds a number"),
     "half a hull": (altered("hull.axes", lambda a: a[:1]), "its hull.axes has the shape"),
     "ranges": (altered("survey.ranges", lambda a: a[:, ::-1]), "its survey.ranges is not .lowest, highest."),
-    "NaN in the sample": (altered("survey.states", number(0, np.nan)), "its survey.states holds a number"),
+    "NaN in the sample": (altered("survey.states", at(0, np.nan)), "its survey.states holds a number"),
     "windows": (altered("survey.where", lambda a: a.astype(float)), "its windows are not those of a survey"),
     "long windows": (altered("survey.length", lambda a: np.array(10**12)), "its windows are not those of a survey"),
     "the survey": (altered("survey.os", lambda a: np.ones(1)), "it lacks arrays of the survey, or has more"),

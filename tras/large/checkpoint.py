@@ -56,7 +56,7 @@ def read_checkpoint(path, model, chunk: int) -> tuple[dict, dict, dict] | None:
     except CheckpointError:
         raise
     except (ValueError, OSError, MemoryError) as error:
-        reason = " ".join(str(error).split()) or "its arrays do not fit in memory"
+        reason = arguments.one_line(error) or "its arrays do not fit in memory"
         raise CheckpointError(f"checkpoint {path} cannot be read ({reason}); delete it to begin anew.") from error
     return header, survey, state
 
