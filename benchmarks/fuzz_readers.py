@@ -320,13 +320,15 @@ def damaged_inside(content, rng):
             entries[list(entries)[int(rng.integers(len(entries)))]] = entry
         elif kind == 2:
             entries[name] = damaged(entry, list(entries.values()), rng)
-        elif (array := _loaded(entry)) is None:
-            continue  # damaged before
+        elif (array := _loaded(entry)) is None or (array.dtype.kind == "U") != (name == "header.npy"):
+            continue  # damaged before, or another array by now
         elif name == "header.npy":
             try:
                 header = json.loads(str(array))
             except (ValueError, RecursionError):
-                continue  # damaged before
+                header = None
+            if not isinstance(header, dict):
+                continue  # damaged before, or another array by now
             _spoil(header, rng)
             text = json.dumps(header)
             entries[name] = _npy(np.array("[" * 20_000 + text if rng.integers(50) == 0 else text))

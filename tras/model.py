@@ -334,7 +334,8 @@ class KoopmanModel(Estimator):
             arguments.number("strength", self.strength, 0, give="'auto' or a number that is not negative")
         if not isinstance(self.stable, (bool, int, float)) or not 0 <= self.stable <= 1:
             raise ValueError(
-                f"stable is {arguments.short(repr(self.stable), 60)}; give True, False, or a spectral radius of 0 to 1, such as 0.999."
+                f"stable is {arguments.short(repr(self.stable), 60)}; "
+                "give True, False, or a spectral radius of 0 to 1, such as 0.999."
             )
         if self.columns == "states" and self.predictor != "one_step":
             raise ValueError(f"columns='states' needs predictor='one_step', but it is {self.predictor!r}; use 'all'.")
