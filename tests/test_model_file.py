@@ -130,6 +130,7 @@ HEADERS = {
     "a shape many times": ("mechanical", ["dictionary", "parameters", "shape"], [0] * 30, "each once"),
     "an order without end": ("linear", ["dictionary", "parameters", "order"], 10**9, "more than 10000 functions"),
     "an endless period": ("linear", ["dictionary", "parameters", "period"], math.inf, "has period = inf"),
+    "hardly a period": ("linear", ["dictionary", "parameters", "period"], 1e-320, "has period = 1e-320"),
     "no seed": ("rbf", ["dictionary", "parameters", "seed"], -1, "has seed = -1"),
     "another parameter": ("field", ["dictionary", "parameters", "os"], 1, "has os = 1"),
     "a name that is a list": ("field", ["dictionary", "name"], ["Monomials"], "is not one of this release"),

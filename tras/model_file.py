@@ -218,7 +218,7 @@ def _whole(value, low):
 
 
 def _positive(value):
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 < value <= 1e100
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and _LEAST_SCALE <= value <= 1e100
 
 
 def _is_text(word):
