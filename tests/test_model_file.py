@@ -66,6 +66,13 @@ def at(index, value):
     return change
 
 
+def lowest(array):
+    """A number so low that the difference to the next one overflows."""
+    array = array.copy()
+    array[-2] = -(2**63)
+    return array
+
+
 ARRAYS = {
     "NaN in W": ("field", "W_", at(3, np.nan), "its W_ holds a number that is not finite"),
     "infinity in K": ("field", "koopman_matrix", at(0, np.inf), "its koopman_matrix holds a number"),
@@ -93,6 +100,8 @@ ARRAYS = {
     "centres of others": ("rbf", "dictionary.centres_", lambda a: a[:, :-1], "its dictionary.centres_ has the shape"),
     "other states": ("rbf", "dictionary.n_states_", lambda a: np.array(7), "its dictionary is not of 5 states"),
     "a billion states": ("field", "dictionary.n_states_", lambda a: np.array(10**9), "is not of 2 states"),
+    "states with a point": ("rbf", "dictionary.n_states_", lambda a: a.astype(float), "is not of 5 states"),
+    "the least whole number": ("union", "dictionary.kept_", lowest, "chooses functions that its parts do not"),
     "functions that are not there": ("union", "dictionary.kept_", at(-1, 99), "chooses functions that its parts"),
     "half functions": ("union", "dictionary.kept_", at(-1, 9.5), "chooses functions that its parts do not"),
     "no functions": ("product", "dictionary.kept_", lambda a: a[:2], "chooses functions that its parts do not"),

@@ -294,8 +294,9 @@ def _learnt(arrays, place, dictionary, channels):
         raise ValueError(f"it lacks what its dictionary {type(dictionary).__name__} has learnt, or has more")
     for key, value in values.items():
         require_numbers(f"{place}.{key}", value, shapes[key], _LEAST_SCALE if key == "width_" else -1e100)
+    fractional = any(values[key].dtype.kind not in "iu" for key in ("n_states_", "n_inputs_"))
     values = {key: value.item() if value.ndim == 0 else value for key, value in values.items()}
-    if (values["n_states_"], values["n_inputs_"]) != channels:
+    if (values["n_states_"], values["n_inputs_"]) != channels or fractional:
         raise ValueError(f"its dictionary is not of {channels[0]} states and {channels[1]} inputs")
     if "kept_" in values:
         _check_choice(values["kept_"], dictionary, 1 + sum(channels))
@@ -311,7 +312,8 @@ def _check_choice(kept, combination, head):
     if most > MAX_FUNCTIONS:
         raise ValueError(f"its dictionary has {most} functions in its parts, up to {MAX_FUNCTIONS} are read")
     sound = kept.dtype.kind == "i" and len(kept) >= head and (kept[:head] == np.arange(head)).all()
-    if not (sound and (np.diff(kept) > 0).all() and kept[-1] < most):
+    sound = sound and 0 <= kept.min() and kept.max() < most  # before differences, which may overflow
+    if not (sound and (np.diff(kept) > 0).all()):
         raise ValueError("its dictionary chooses functions that its parts do not have")
 
 
