@@ -171,7 +171,7 @@ def _header(model, name, slopes):
         lines += ["/* dx/dt. */", f"void {name}_field(const double *x, const double *u, double *rate);"]
     if slopes:
         lines += [
-            f"/* The step and its derivatives: by_{state}[i][j] that of {state}_next[i] by {state}[j]; by_u likewise. */",
+            f"/* The step and its derivatives, row by row: by_{state} by each {state}, by_u by each input. */",
             f"void {name}_slopes(const double *{state}, const double *u, double *{state}_next, double *by_{state}, "
             "double *by_u);",
         ]

@@ -1,10 +1,10 @@
 """A solver of dense quadratic programs in C99 for generated controllers: nothing but libm, no memory of its own.
 
-A dual active-set method (D. Goldfarb and A. Idnani, Math. Program. 27, 1983, 1; in the form of D. Arnstroem, A. Bemporad
-and D. Axehill, IEEE Trans. Autom. Control 67, 2022, 4362): the multipliers climb the dual function, one row enters or
-leaves the working set per iteration, and what the last program ended with is where the next one starts. The solver that
-the controllers in Python use has C source, too, but it allocates memory and is ten files with a licence to carry along;
-its solutions are the same, for a convex program has one.
+A dual active-set method (D. Goldfarb and A. Idnani, Math. Program. 27, 1983, 1; in the form of D. Arnstroem, A.
+Bemporad and D. Axehill, IEEE Trans. Autom. Control 67, 2022, 4362): the multipliers climb the dual function, one row
+enters or leaves the working set per iteration, and what the last program ended with is where the next one starts. The
+solver that the controllers in Python use has C source, too, but it allocates memory and is ten files with a licence to
+carry along; its solutions are the same, for such a program has but one.
 """
 
 SOLVER = """\
@@ -13,7 +13,8 @@ SOLVER = """\
  soft may be violated by e >= 0, at the cost LINEAR e + QUADRATIC e^2 / 2. The working set of the last program is where
  the next one starts. Returns SOLVED, or why not.
  */
-enum {{ VARIABLES = {variables}, GENERAL = {general}, BOUNDED = VARIABLES + GENERAL, LARGEST = VARIABLES + {soft} + 1 }};
+enum {{ VARIABLES = {variables}, GENERAL = {general}, BOUNDED = VARIABLES + GENERAL }};
+enum {{ LARGEST = VARIABLES + {soft} + 1 }};
 enum {{ SOLVED, INFEASIBLE, TOO_MANY_ITERATIONS, NOT_CONVEX }};
 enum {{ HARD, SLACK }};
 #define LINEAR {linear}
@@ -29,6 +30,7 @@ typedef struct {{
     int iterations;
     /* The working set: rows (variables first, then G), their sides 1 (high) or -1, and multipliers. */
     int working, row[LARGEST], side[LARGEST], mode[LARGEST], is_working[BOUNDED];
+    int waiting; /* rows at the end of these arrays that are to enter, their multipliers fixed meanwhile */
     double multiplier[LARGEST];
     /* H = cholesky cholesky'; the rows a as half = cholesky^-1 a; half half' = lower diag(pivot) lower'. */
     double cholesky[VARIABLES][VARIABLES], free[VARIABLES];
@@ -38,7 +40,7 @@ typedef struct {{
 
 static void forget(program *p)
 {{
-    p->working = 0;
+    p->working = p->waiting = 0;
 }}
 
 static double of_row(const program *p, int row, const double *v)
@@ -146,15 +148,17 @@ static void solve_factors(const program *p, double *x)
     }}
 }}
 
-/* v from the multipliers, and how far each row of the working set is from where it should be. */
-static void primal(program *p, double *missing)
+/* v from the multipliers, and how far each of the first rows is from where it should be. */
+static void primal(program *p, int rows, double *missing)
 {{
     for (int j = 0; j < VARIABLES; j++) p->v[j] = 0.0;
-    for (int i = 0; i < p->working; i++)
-        for (int j = 0; j < VARIABLES; j++) p->v[j] -= p->half[i][j] * p->multiplier[i];
+    for (int i = 0; i < LARGEST; i++) {{
+        if (i == rows) i = LARGEST - p->waiting;
+        for (int j = 0; i < LARGEST && j < VARIABLES; j++) p->v[j] -= p->half[i][j] * p->multiplier[i];
+    }}
     substitute_back(p, p->v);
     for (int j = 0; j < VARIABLES; j++) p->v[j] += p->free[j];
-    for (int i = 0; i < p->working; i++) {{
+    for (int i = 0; i < rows; i++) {{
         int row = p->row[i], side = p->side[i];
         missing[i] = of_row(p, row, p->v) - (side > 0 ? p->high[row] : p->low[row]);
         if (p->mode[i] == SLACK) missing[i] -= (p->multiplier[i] - side * LINEAR) / QUADRATIC;
@@ -173,14 +177,28 @@ static double allowed(const program *p, int i, double move, double step, int *bl
     return end > 0.0 ? end : 0.0;
 }}
 
+static int is_at_price(const program *p, int i)
+{{
+    return p->row[i] >= VARIABLES && p->soft[p->row[i] - VARIABLES] && p->side[i] * p->multiplier[i] > 0.5 * LINEAR;
+}}
+
 /* A multiplier at the end of its piece: its row leaves the working set, or stops or begins to be violated. */
 static void change(program *p, int which)
 {{
-    int row = p->row[which], side = p->side[which], mode = p->mode[which];
-    int at_zero = mode == HARD && side * p->multiplier[which] < 0.5 * LINEAR;
+    int row = p->row[which], side = p->side[which], mode = p->mode[which], at_price = is_at_price(p, which);
+    int slot = LARGEST - 1 - p->waiting;
+    double half[VARIABLES];
+    for (int j = 0; j < VARIABLES; j++) half[j] = p->half[which][j];
     delete(p, which);
-    if (row < VARIABLES || !p->soft[row - VARIABLES] || at_zero) return;
-    append(p, row, side, mode == HARD ? SLACK : HARD, side * LINEAR);
+    if (!at_price) return;
+    if (mode == HARD) {{
+        append(p, row, side, SLACK, side * LINEAR);
+        return;
+    }}
+    p->row[slot] = row, p->side[slot] = side, p->multiplier[slot] = side * LINEAR;
+    for (int j = 0; j < VARIABLES; j++) p->half[slot][j] = half[j];
+    p->is_working[row] = 1;
+    p->waiting++;
 }}
 
 /* The row beyond its limit by most, or -1. */
@@ -198,26 +216,34 @@ static int violated(const program *p, int *side)
     return worst;
 }}
 
-/* Take the row ``entering`` into the working set, on which it may depend: other rows leave until it does not. */
-static int enter(program *p, int entering, int side)
+/* Take a row into the working set, on which it may depend: other rows leave until it does not, or it does itself. */
+static int enter(program *p, int row, int side, double multiplier)
 {{
-    double multiplier = 0.0, move[LARGEST];
-    int mode = HARD;
-    while (!append(p, entering, side, mode, multiplier)) {{
+    double move[LARGEST], missing[LARGEST];
+    while (!append(p, row, side, HARD, multiplier)) {{
         int k = p->working, blocks = -1;
-        double step = INFINITY;
+        double step = INFINITY, slope;
         for (int i = 0; i < k; i++) {{
             move[i] = 0.0;
             for (int j = 0; j < VARIABLES; j++) move[i] -= p->half[i][j] * p->half[k][j];
         }}
         solve_factors(p, move);
-        for (int i = 0; i < k; i++) step = allowed(p, i, side * move[i], step, &blocks);
-        step = allowed(p, k, side, step, &blocks); /* itself, if it is soft */
-        if (blocks < 0 || ++p->iterations > MOST_ITERATIONS) return blocks < 0 ? INFEASIBLE : TOO_MANY_ITERATIONS;
-        for (int i = 0; i < k; i++) p->multiplier[i] += step * side * move[i];
-        multiplier += step * side;
-        if (blocks == k) mode = SLACK, multiplier = side * LINEAR;
-        else change(p, blocks);
+        move[k] = 1.0;
+        /* Along this direction v does not move, and the dual function is a straight line: uphill. */
+        primal(p, k + 1, missing);
+        slope = 0.0;
+        for (int i = 0; i <= k; i++) slope += move[i] * missing[i];
+        if (slope < 0.0)
+            for (int i = 0; i <= k; i++) move[i] = -move[i];
+        for (int i = 0; i <= k; i++) step = allowed(p, i, move[i], step, &blocks);
+        if (blocks < 0) return INFEASIBLE;
+        if (++p->iterations > MOST_ITERATIONS) return TOO_MANY_ITERATIONS;
+        for (int i = 0; i <= k; i++) p->multiplier[i] += step * move[i];
+        multiplier = p->multiplier[k];
+        if (blocks < k) change(p, blocks);
+        else if (!is_at_price(p, k)) p->is_working[row] = 0;
+        else append(p, row, side, SLACK, side * LINEAR);
+        if (blocks == k) return SOLVED;
     }}
     return SOLVED;
 }}
@@ -226,7 +252,7 @@ static int solve_program(program *p)
 {{
     double move[LARGEST];
     int before = p->working, refined = 0;
-    p->iterations = p->working = 0;
+    p->iterations = p->working = p->waiting = 0;
     for (int row = 0; row < BOUNDED; row++) p->is_working[row] = 0;
     for (int row = 0; row < GENERAL; row++) {{
         int first = 0, last = VARIABLES;
@@ -246,8 +272,14 @@ static int solve_program(program *p)
         int blocks = -1, entering, side = 1, status;
         double step = 1.0;
         if (++p->iterations > MOST_ITERATIONS) return TOO_MANY_ITERATIONS;
+        if (p->waiting) {{
+            int slot = LARGEST - p->waiting--;
+            status = enter(p, p->row[slot], p->side[slot], p->multiplier[slot]);
+            if (status != SOLVED) return status;
+            continue;
+        }}
         /* Towards the minimum on the working set, as far as the multipliers stay on their pieces. */
-        primal(p, move);
+        primal(p, p->working, move);
         solve_factors(p, move);
         for (int i = 0; i < p->working; i++) step = allowed(p, i, move[i], step, &blocks);
         for (int i = 0; i < p->working; i++) p->multiplier[i] += step * move[i];
@@ -256,12 +288,12 @@ static int solve_program(program *p)
             refined = 0;
             continue;
         }}
-        primal(p, move);
+        primal(p, p->working, move);
         entering = violated(p, &side);
         if (entering < 0 && refined++) return SOLVED; /* the second step on the same set removes what rounding left */
         if (entering < 0) continue;
         refined = 0;
-        status = enter(p, entering, side);
+        status = enter(p, entering, side, 0.0);
         if (status != SOLVED) return status;
     }}
 }}
