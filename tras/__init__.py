@@ -40,6 +40,9 @@ _ROOMS = {
     "remarks": "io.formats",
     "example": "identification.examples",
     "PID": "twin_rotor.closed_loop",
+    "LQR": "control.lqr",
+    "MPC": "control.mpc",
+    "Observer": "control.observer",
     "simulate_closed_loop": "twin_rotor.closed_loop",
     "simulate_closed_loops": "twin_rotor.closed_loop",
     "Monomials": "dictionaries.monomials",
@@ -75,6 +78,9 @@ _ROOMS = {
 if TYPE_CHECKING:
     from tras import export as export
     from tras import metrics as metrics
+    from tras.control.lqr import LQR as LQR
+    from tras.control.mpc import MPC as MPC
+    from tras.control.observer import Observer as Observer
     from tras.dictionaries.combinations import Product as Product
     from tras.dictionaries.combinations import Union as Union
     from tras.dictionaries.mechanical import Mechanical as Mechanical

@@ -83,8 +83,9 @@ class Mechanical(Dictionary):
         self._word = np.array([words.index(w) for _, w in terms])
         # A word has at most two letters: its product is one of two rows of (1, z), 0 standing for the 1.
         self._letters = np.array([[1 + i for i in w] + [0] * (2 - len(w)) for w in words]).T
-        # For the slopes: each factor of each word that is a state, and what it leaves.
-        self._factors = [(j, i, w[:k] + w[k + 1 :]) for j, w in enumerate(words) for k, i in enumerate(w) if i < n]
+        # For the slopes: the functions of each word, each factor of it, and what that leaves.
+        rows = [np.flatnonzero(self._word == j) for j in range(len(words))]
+        self._factors = [(rows[j], i, w[:k] + w[k + 1 :]) for j, w in enumerate(words) for k, i in enumerate(w)]
         return len(terms)
 
     @property
@@ -119,9 +120,9 @@ class Mechanical(Dictionary):
             derived = [_chebyshev_derivatives(z[i], self.degree) if d == c else table for d, table in enumerate(tables)]
             slopes[head:, i] += self._polynomials(derived) * products
         polynomials = self._polynomials(tables)
-        for j, i, rest in self._factors:
-            rows = np.flatnonzero(self._word == j)
-            slopes[head + rows, i] += polynomials[rows] * (z[rest[0]] if rest else 1.0)
+        for rows, i, rest in self._factors:
+            if i < slopes.shape[1]:
+                slopes[head + rows, i] += polynomials[rows] * (z[rest[0]] if rest else 1.0)
 
     def _products(self, psi, z):
         """The words' values (words, points), from the head of ``psi``, which is (1, z)."""

@@ -5,7 +5,7 @@ fast against the excitation (0.2 and 0.8 rad/s), slow against the sampling time 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -95,12 +95,16 @@ def simulate_closed_loop(
     dt: float,
     parameters: PlantParameters | None = None,
     *,
-    controllers: Sequence[PID] | None = None,
+    controllers: Sequence[PID] | Callable | None = None,
+    preview: bool = False,
     x0: ArrayLike | None = None,
+    noise: ArrayLike | None = None,
+    disturbances: ArrayLike | None = None,
+    seed: int = 0,
     step: float = 0.01,
     attributes: dict | None = None,
 ) -> Recording:
-    """Follow references with the PID and record everything.
+    """Follow references with the PID, or a controller of your own, and record everything.
 
     At each sample the controller reads state and reference, and its torque is held until the next. By default the rig
     starts at rest ON the first reference with the integrators balanced (bumpless).
@@ -112,10 +116,22 @@ def simulate_closed_loop(
     dt : float
         Sampling time in s.
     parameters : PlantParameters, optional
-    controllers : (PID, PID), optional
-        Pitch and yaw; default `PID.defaults`.
+    controllers : (PID, PID) or callable, optional
+        Pitch and yaw; default `PID.defaults`. Or one for both, called as ``u = controllers(x, reference)``: a
+        `tras.MPC`, a `tras.LQR`, or a function. It is reset first, if it can be.
+    preview : bool
+        Whether that one sees the reference ahead, as far as its ``horizon``, or its present sample alone. The PID has
+        no preview.
     x0 : (4,) array_like, optional
         Initial state; then the integrators start empty.
+    noise : float or (4,) array_like, optional
+        Standard deviation of the noise that is added to the states that the controller reads, in rad and rad/s. The
+        recording holds the true states.
+    disturbances : (2,) or (samples, 2) array_like, optional
+        Torques in N m that act beside the controller's and that nobody knows of. The recording holds the
+        controller's.
+    seed : int
+        Of the noise.
     step : float
         Longest integration step in s.
     attributes : dict, optional
@@ -145,7 +161,8 @@ def simulate_closed_loop(
         if x0.shape != (4,) or not np.isfinite(x0).all():
             raise ValueError(f"x0 is {x0.tolist()}; give four finite numbers phi, phidot, psi, psidot.")
     rigs = [parameters or PlantParameters()]
-    return _simulated(reference[None], dt, rigs, controllers, x0, step, attributes)
+    outside = _Outside(preview, noise, disturbances, seed)
+    return _simulated(reference[None], dt, rigs, controllers, x0, step, attributes, outside)
 
 
 def simulate_closed_loops(
@@ -153,8 +170,12 @@ def simulate_closed_loops(
     dt: float,
     parameters: PlantParameters | Sequence[PlantParameters] | None = None,
     *,
-    controllers: Sequence[PID] | None = None,
+    controllers: Sequence[PID] | Callable | None = None,
+    preview: bool = False,
     x0: ArrayLike | None = None,
+    noise: ArrayLike | None = None,
+    disturbances: ArrayLike | None = None,
+    seed: int = 0,
     step: float = 0.01,
     attributes: dict | None = None,
 ) -> Recording:
@@ -169,12 +190,15 @@ def simulate_closed_loops(
         Pitch and yaw reference in rad; a single one serves every run.
     parameters : PlantParameters or sequence of them, optional
         One rig for all, or one per run.
-    controllers : (PID, PID), optional
-        Pitch and yaw, for every run; default `PID.defaults` of the rigs' mean parameters.
+    controllers : (PID, PID) or callable, optional
+        Pitch and yaw, for every run; default `PID.defaults` of the rigs' mean parameters. Or one for both, as for
+        `simulate_closed_loop`, reset before every run: then the runs are made one after the other.
     x0 : (4,) or (runs, 4) array_like, optional
         Initial states, one for all or one per run.
-    dt, step, attributes
-        As for `simulate_closed_loop`.
+    disturbances : (2,), (samples, 2) or (runs, samples, 2) array_like, optional
+        Torques in N m that act beside the controller's, the same for all runs or each its own.
+    dt, preview, noise, seed, step, attributes
+        As for `simulate_closed_loop`; each run has noise of its own.
 
     Returns
     -------
@@ -202,7 +226,8 @@ def simulate_closed_loops(
         rigs = list(parameters)
     x0 = None if x0 is None else np.asarray(x0, dtype=float)
     references = np.broadcast_to(references, (_runs(references, rigs, x0), *references.shape[-2:]))
-    return _simulated(references, dt, rigs, controllers, x0, step, attributes)
+    outside = _Outside(preview, noise, disturbances, seed)
+    return _simulated(references, dt, rigs, controllers, x0, step, attributes, outside)
 
 
 def saturated(recording: Recording, parameters: PlantParameters) -> np.ndarray:
@@ -217,18 +242,62 @@ def saturated(recording: Recording, parameters: PlantParameters) -> np.ndarray:
     return ((torques <= low) | (torques >= high)).mean(axis=0)
 
 
-def _simulated(references, dt, rigs, controllers, x0, step, attributes):
+class _Outside:
+    """What reaches the loops from outside beside the references: preview, noise of the measurement, disturbances."""
+
+    def __init__(self, preview, noise, disturbances, seed):
+        arguments.seed("seed", seed, "the noise")
+        self.preview, self.seed = bool(preview), seed
+        self.noise = None if noise is None else _finite("noise", noise, [(), (4,)], "standard deviations")
+        self.disturbances = None if disturbances is None else _finite("disturbances", disturbances, None, "torques")
+        if self.noise is not None and (self.noise < 0).any():
+            raise ValueError(f"noise is {np.asarray(noise).tolist()}; give standard deviations, 0 or more.")
+
+    def of(self, runs, samples):
+        """Noise (runs, samples, 4) and disturbances (runs, samples, 2), or None."""
+        noise = torques = None
+        if self.noise is not None:
+            noise = np.random.default_rng(self.seed).normal(size=(runs, samples, 4)) * self.noise
+        if self.disturbances is not None:
+            try:
+                torques = np.broadcast_to(self.disturbances, (runs, samples, 2))
+            except ValueError:
+                shapes = f"(2,), ({samples}, 2)" + (f" or ({runs}, {samples}, 2)" if runs > 1 else "")
+                raise ValueError(f"disturbances has shape {self.disturbances.shape}; give {shapes}.") from None
+        return noise, torques
+
+    def attributes(self):
+        noise = None if self.noise is None else self.noise.tolist()
+        said = {"measurement_noise": noise, "noise_seed": None if noise is None else self.seed}
+        said["preview"] = self.preview or None
+        return {name: value for name, value in said.items() if value is not None}
+
+
+def _simulated(references, dt, rigs, controllers, x0, step, attributes, outside):
     """A `Recording` of the runs (runs, samples, 2) with everything that made it in its attributes."""
-    controllers = controllers or PID.defaults(_mean(rigs))
-    runs = len(references)
-    if runs >= BATCH:
-        states, torques = _loop(references, dt, _stacked(rigs), controllers, x0, step)
+    controllers = PID.defaults(_mean(rigs)) if controllers is None else controllers
+    runs, samples = references.shape[:2]
+    noise, gusts = outside.of(runs, samples)
+    if callable(controllers):
+        about = {"controller": repr(controllers)}
+    else:
+        pid = dict(zip(("phi", "psi"), controllers))
+        about = {f"pid_{axis}_{gain}": getattr(pid[axis], gain) for axis in pid for gain in "PID"}
+        about |= {f"pid_{axis}_limits": list(pid[axis].limits) for axis in pid}
+    if runs >= BATCH and not callable(controllers):
+        control = _PIDPair(controllers, references, dt, _stacked(rigs), x0)
+        states, torques = _loop(references, dt, _stacked(rigs), control, x0, step, noise, gusts)
     else:
         starts = [None] * runs if x0 is None else np.broadcast_to(x0, (runs, 4))
-        each = zip(references, rigs * (runs // len(rigs)), starts)
-        trajectories = [_loop(reference, dt, rig, controllers, start, step) for reference, rig, start in each]
+        trajectories = []
+        for run, (reference, rig, start) in enumerate(zip(references, rigs * (runs // len(rigs)), starts)):
+            if callable(controllers):
+                control = _Seeing(controllers, reference, outside.preview)
+            else:
+                control = _PIDPair(controllers, reference, dt, rig, start)
+            parts = (None if part is None else part[run] for part in (noise, gusts))
+            trajectories.append(_loop(reference, dt, rig, control, start, step, *parts))
         states, torques = map(np.stack, zip(*trajectories))
-    pid = dict(zip(("phi", "psi"), controllers))
     return Recording(
         list(states),
         list(np.concatenate([references, torques], axis=2)),
@@ -239,8 +308,8 @@ def _simulated(references, dt, rigs, controllers, x0, step, attributes):
         input_units=REFERENCE_UNITS + plant.TORQUE_UNITS,
         attributes={
             **{f"plant_{name}": _one_or_all([rig.as_dict()[name] for rig in rigs]) for name in rigs[0].as_dict()},
-            **{f"pid_{axis}_{gain}": getattr(pid[axis], gain) for axis in pid for gain in "PID"},
-            **{f"pid_{axis}_limits": list(pid[axis].limits) for axis in pid},
+            **about,
+            **outside.attributes(),
             **{f"version_{name}": version for name, version in versions().items()},
             "integration_step": step,
             **(attributes or {}),
@@ -248,39 +317,71 @@ def _simulated(references, dt, rigs, controllers, x0, step, attributes):
     )
 
 
-def _loop(reference, dt, rig, controllers, x0, step):
+def _loop(reference, dt, rig, control, x0, step, noise=None, gusts=None):
     """States (..., samples, 4) and torques (..., samples, 2) under a reference (..., samples, 2).
 
     A single run takes plain floats, many runs take arrays and make each step together. ``rig`` is one, or several as
-    `_stacked` makes them.
+    `_stacked` makes them; ``control(k, x)`` gives the torques of sample k. ``noise`` (..., samples, 4) is added to what
+    it reads, ``gusts`` (..., samples, 2) to what acts.
     """
     batch = reference.shape[:-2]
-    functions, clip = (np, np.clip) if batch else (math, _clip)
     start = np.zeros((*batch, 4))
     start[..., ::2] = reference[..., 0, :]
     x = np.ascontiguousarray(np.moveaxis(start if x0 is None else np.broadcast_to(x0, start.shape), -1, 0))
-    reference = np.ascontiguousarray(np.moveaxis(reference, (-2, -1), (0, 1)))
+    noise, gusts = (None if part is None else np.moveaxis(part, (-2, -1), (0, 1)) for part in (noise, gusts))
     if not batch:
-        x, reference = x.tolist(), reference.tolist()
-    integrals = [0.0, 0.0]
-    if x0 is None:
-        gravity = rig.G_c * functions.cos(x[0]) + rig.G_s * functions.sin(x[0])
-        balance = (gravity, rig.K_psi * x[2])
-        integrals = [clip(torque, *pid.limits) if pid.I else 0.0 for pid, torque in zip(controllers, balance)]
-    integral_phi, integral_psi = integrals
-    advance = stepper(rig, dt, step=step, functions=functions)
-    pitch, yaw = (_control_law(pid, dt, clip) for pid in controllers)
+        x = x.tolist()
+        noise, gusts = (None if part is None else part.tolist() for part in (noise, gusts))
+    advance = stepper(rig, dt, step=step, functions=np if batch else math)
     states, torques = [], []
     with np.errstate(over="ignore", invalid="ignore"):  # `advance` raises
-        for r_phi, r_psi in reference:
+        for k in range(reference.shape[-2]):
             if torques:
-                x = advance(x, torques[-1])
-            phi, phidot, psi, psidot = x
-            u_phi, integral_phi = pitch(r_phi - phi, phidot, integral_phi)
-            u_psi, integral_psi = yaw(r_psi - psi, psidot, integral_psi)
+                acting = torques[-1]
+                x = advance(x, acting if gusts is None else [u + g for u, g in zip(acting, gusts[k - 1])])
             states.append(x)
-            torques.append((u_phi, u_psi))
+            torques.append(control(k, x if noise is None else [q + e for q, e in zip(x, noise[k])]))
     return tuple(np.moveaxis(np.array(values), (0, 1), (-2, -1)) for values in (states, torques))
+
+
+class _Seeing:
+    """A controller of both axes with a run's reference (samples, 2): the whole horizon of it, or one sample."""
+
+    def __init__(self, controller, reference, preview):
+        self.controller, self.reference = controller, reference
+        self.ahead = getattr(controller, "horizon", 0) if preview else None
+        getattr(controller, "reset", lambda: None)()
+
+    def __call__(self, k, x):
+        ahead = self.reference[k] if self.ahead is None else self.reference[k : k + 1 + self.ahead]
+        u = np.asarray(self.controller(np.array(x), ahead), dtype=float)
+        if u.shape != (2,) or not np.isfinite(u).all():
+            raise ValueError(f"controllers returned {u.tolist()} at sample {k}; it must return two finite torques.")
+        return tuple(u.tolist())
+
+
+class _PIDPair:
+    """Both PIDs with the reference of a run, or of many at once, their integrators balanced at the start."""
+
+    def __init__(self, pair, reference, dt, rig, x0):
+        batch = reference.shape[:-2]
+        functions, clip = (np, np.clip) if batch else (math, _clip)
+        reference = np.ascontiguousarray(np.moveaxis(reference, (-2, -1), (0, 1)))
+        self.reference = reference if batch else reference.tolist()
+        self.integrals = [0.0, 0.0]
+        if x0 is None:
+            phi, psi = self.reference[0]
+            balance = (rig.G_c * functions.cos(phi) + rig.G_s * functions.sin(phi), rig.K_psi * psi)
+            self.integrals = [clip(torque, *pid.limits) if pid.I else 0.0 for pid, torque in zip(pair, balance)]
+        self.pitch, self.yaw = (_control_law(pid, dt, clip) for pid in pair)
+
+    def __call__(self, k, x):
+        (r_phi, r_psi), (phi, phidot, psi, psidot) = self.reference[k], x
+        of_phi, of_psi = self.integrals
+        u_phi, of_phi = self.pitch(r_phi - phi, phidot, of_phi)
+        u_psi, of_psi = self.yaw(r_psi - psi, psidot, of_psi)
+        self.integrals = of_phi, of_psi
+        return u_phi, u_psi
 
 
 def _control_law(pid, dt, clip):
@@ -299,6 +400,13 @@ def _control_law(pid, dt, clip):
 def _clip(value, low, high):
     """`numpy.clip` for a float."""
     return low if value < low else high if value > high else value
+
+
+def _finite(name, values, shapes, what):
+    values = np.asarray(values, dtype=float)
+    if not np.isfinite(values).all() or (shapes is not None and values.shape not in shapes):
+        raise ValueError(f"{name} has shape {values.shape} or holds NaN or infinity; give finite {what}.")
+    return values
 
 
 def _references(name, values, shape, dimensions):
