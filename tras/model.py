@@ -295,6 +295,10 @@ class KoopmanModel(Estimator):
         states are the model's, delayed samples of states and inputs behind them. A ``lifted_linear`` model is linear
         everywhere: its states are the liftings but the constant, and the point has no effect.
 
+        With ``lead=1`` a state depends on the input of its own instant: D is not zero, and the system's state is z less
+        what this input has moved, ``dz[k] - B du[k]``. A controller that feeds ``x[k]`` back to ``u[k]`` without a
+        delay then closes an algebraic loop, which `control.feedback` solves.
+
         Parameters
         ----------
         x : (n,) or (n',) array_like, optional

@@ -121,11 +121,13 @@ def save_figure(figure: Figure, table: pd.DataFrame, stem: str | Path) -> list[P
 
 @styled()
 def _write(figure, table, pdf, svg, png, csv):
-    if figure.get_layout_engine() is not None:
-        # Every draw lays out anew, from where the last one left off: once settled, the bytes stay the same.
-        figure.draw_without_rendering()
-        figure.draw_without_rendering()
-        figure.set_layout_engine("none")
+    if (engine := figure.get_layout_engine()) is not None:
+        # Every layout begins where the last one left off: once settled, the bytes stay the same. To draw, which lays
+        # out too, would take twice the time, and so would an engine that is still there when a file is written.
+        FigureCanvasAgg(figure)
+        engine.execute(figure)
+        engine.execute(figure)
+        figure.set_layout_engine(None)
     # None leaves an entry out: dates change from run to run and versions from machine to machine. The style must hold
     # here as well, because dpi, fonts and the hash salt of SVG are looked up when a figure is written.
     figure.savefig(pdf, format="pdf", metadata={"Creator": None, "Producer": None, "CreationDate": None})
