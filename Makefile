@@ -30,8 +30,9 @@ export MKL_NUM_THREADS := 1
 export PYTHONHASHSEED := 0
 # What else is in the environment stays out: another tras on PYTHONPATH, another kernel, the user's settings of notebooks and figures. With
 # PYTHONDONTWRITEBYTECODE each stage would take 1.5 s longer (uv leaves compiling to the first import); kernels choose their own backend.
+# What is said to make itself stays: make OPENBLAS_CORETYPE=Haswell verify.
 OUTSIDE := PYTHON% JUPYTER% IPYTHON% MPLBACKEND MATPLOTLIB% OPENBLAS_% GOTO_% OMP_% MKL_% KMP_% NPY_% GLIBC_TUNABLES BASH_ENV
-unexport $(filter-out PYTHON PYTHONHASHSEED OPENBLAS_NUM_THREADS OMP_NUM_THREADS MKL_NUM_THREADS,$(filter $(OUTSIDE),$(.VARIABLES)))
+unexport $(foreach name,$(filter $(OUTSIDE),$(.VARIABLES)),$(if $(filter environment,$(origin $(name))),$(name)))
 export MATPLOTLIBRC := /dev/null
 export JUPYTER_PREFER_ENV_PATH := 1
 
