@@ -9,8 +9,7 @@ import numpy as np
 from tras.dictionaries.base import Dictionary
 from tras.workflow import arguments
 
-
-# Force of an actuator by its speed, beside the linear one: power -> by how much its part of the shape is of lower degree.
+# Force of an actuator by its speed, beside the linear one: power -> by how much lower the degree in the shape is.
 _FORCES = {2: 3, 3: 3, 4: 5, 5: 6}
 _SWITCHED = 2  # the same of the force with the sign of the speed, w|w|, and of what an input adds by itself
 _DRAG = 8  # highest power of an actuator's own drag
@@ -107,7 +106,7 @@ class Mechanical(Dictionary):
 
     def _build(self):
         arguments.whole_number("degree", self.degree)
-        groups, n = self._groups(), self.n_states_
+        groups = self._groups()
         self._shape = self._roles()[2]
         shapes = {degree: _powers(len(self._shape), degree) for degree in {degree for _, degree, _ in groups}}
         terms = [(k, w, bend) for w, d, bend in groups for k in shapes[d] if bend or sum(k) + len(w) > 1]
