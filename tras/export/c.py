@@ -18,7 +18,7 @@ _SHIFTS_OF_INPUTS = """\
     for (int i = {end}; i >= {second}; i--) x_next[i] = x[i - {m}];
     for (int i = 0; i < {m}; i++) x_next[{past} + i] = u[i];
 """
-_HULL = """\
+HULL = """\
     /* The nearest point of the box around the training data, along their principal axes. */
     double near[CHANNELS], beyond[CHANNELS];
     for (int j = 0; j < CHANNELS; j++) {
@@ -196,19 +196,19 @@ def _source(model, name, slopes):
         body = _MAP.format(
             what="Rates of the states" if model.predictor == "vector_field" else "The states one sample later",
             beyond="; beyond the training data linear" if hull else "",
-            hull=_HULL if hull else "",
+            hull=HULL if hull else "",
             point="near" if hull else "z",
             outward=_OUTWARD if hull else "",
         )
         body += _steps(model, name)
         if slopes:
-            entries, code = derivatives.advance(model, _HULL if hull else "")
+            entries, code = derivatives.advance(model, HULL if hull else "")
             counts["SLOPES"], body = len(entries["slope_of"]), f"{body}\n{code}"
             arrays |= entries
     if slopes:
         body += derivatives.function(model, name)
     constants = "enum { " + ", ".join(f"{key} = {value}" for key, value in counts.items()) + " };\n\n"
-    return constants + "".join(map(_array, arrays, arrays.values())) + "\n" + _lift(model) + body
+    return constants + "".join(map(array, arrays, arrays.values())) + "\n" + _lift(model) + body
 
 
 def _lift(model):
@@ -234,7 +234,7 @@ def _steps(model, name):
     return scale + _STEP.format(name=name, body=body, n=n) + (_FIELD.format(name=name) if field else "")
 
 
-def _array(name, values):
+def array(name, values):
     """A constant array, one row per line; of whole numbers if all are."""
     size = "".join(f"[{k}]" for k in np.shape(values))
     if np.asarray(values).dtype.kind == "i":

@@ -307,7 +307,7 @@ def solver(
     soft: int = 0,
     linear: float = 1e3,
     quadratic: float = 1e3,
-    tolerance: float = 1e-10,
+    tolerance: float = 1e-12,
     iterations: int = 1000,
 ) -> str:
     """Its source for programs of one size: ``general`` rows beside the bounds of the variables, ``soft`` of them soft.
