@@ -108,7 +108,9 @@ class Identified(Predictor):
         model.require_fitted()
         self.model, self.channels = model, model.channels_
         self.limits = np.stack([model.u_offset_ - model.u_scale_, model.u_offset_ + model.u_scale_], axis=1)
-        self.accuracy = np.maximum(np.asarray(model.residual_)[: len(model.state_names_)], _ACCURACY)
+        first = 0 if model.columns == "states" else 1  # otherwise the constant's residual, zero, comes first
+        residual = np.asarray(model.residual_)[first : first + len(model.state_names_)]
+        self.accuracy = np.maximum(residual, _ACCURACY)
         way = PREDICTORS[model.predictor]
         self._advance, self._advance_with_slopes = way.advance(model), way.advance_with_slopes(model)
 
