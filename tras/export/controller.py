@@ -125,6 +125,8 @@ static void predict_estimate(void)
         for (int j = 0; j < ALL; j++) {
             covariance[i][j] = i == j ? process[i] : 0.0;
             for (int k = 0; k < ALL; k++) covariance[i][j] += half[i][k] * move[j][k];
+            for (int k = 0; k < INPUTS && i < STATES && j < STATES; k++) /* what acts for one sample */
+                covariance[i][j] += move[i][STATES + k] * gusts[k] * move[j][STATES + k];
         }
 }
 
@@ -676,6 +678,7 @@ class _Parts:
         if observer is None:
             return {}, {}, _STATE + _WITHOUT_OBSERVER
         arrays = {"measured": observer._rows.tolist(), "noise": np.diag(observer._R), "process": np.diag(observer._Q)}
+        arrays["gusts"] = observer._gusts
         fresh = copy.copy(observer)
         fresh._begin(np.zeros(len(observer.measured)))
         arrays["first_variance"] = np.diag(fresh.covariance)
