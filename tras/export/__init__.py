@@ -13,7 +13,7 @@ Examples
 """
 
 from tras.export.c import to_c as to_c
-from tras.export.controller import controller_to_c as controller_to_c
 from tras.export.common import to_statespace as to_statespace
+from tras.export.controller import controller_to_c as controller_to_c
 from tras.export.equations import formulas as formulas
 from tras.export.matlab import to_matlab as to_matlab

@@ -124,7 +124,8 @@ _INPUTLESS = "    (void)by_u;\n"
 def advance(model, hull):
     """Arrays for ``lift_slopes``, ``map_slopes`` and ``advance_slopes``, the map over one sample, and their code.
 
-    A ``lifted_linear`` model is lifted anew here, and its ``by_input`` holds B. ``hull`` is the code by which a model finds the nearest point of its hull, "" without one.
+    A ``lifted_linear`` model is lifted anew here, and its ``by_input`` holds B. ``hull`` is the code by which a model
+    finds the nearest point of its hull, "" without one.
     """
     nodes = symbols.functions(model.dictionary_)
     n, m = len(model.state_names_), len(model.input_names_)
@@ -133,7 +134,9 @@ def advance(model, hull):
     entries = symbols.slopes(nodes, count if linear else count + m)
     lines = symbols.code(nodes, symbols.C, [slope for _, _, slope in entries], "slope[{}]")
     code = _LIFT.format(lines="\n".join(f"    {line}" for line in lines))
-    code += _MAP.format(hull=hull, point="near" if hull else "z", outward=_OUTWARD if hull else "", inputs=_INPUTS if linear else "")
+    code += _MAP.format(
+        hull=hull, point="near" if hull else "z", outward=_OUTWARD if hull else "", inputs=_INPUTS if linear else ""
+    )
     core = "    map_slopes(start, z, slopes);\n"
     if model.predictor == "vector_field":
         core = _RUNGE_KUTTA.format(dt=symbols.literal(model.dt_), substeps=int(model.substeps_))
