@@ -134,7 +134,7 @@ class MPC(Controller):
         self._of_first = limited[:m]
         scaled = (self.state_limits - c.x_offset[:, None]) / c.x_scale[:, None]
         self._limited = np.flatnonzero(np.isfinite(scaled).any(axis=1))
-        self._state_low, self._state_high = (np.tile(side, self.horizon) for side in scaled[self._limited].T)
+        self._state_low, self._state_high = (np.repeat(side, self.horizon) for side in scaled[self._limited].T)
 
     def reset(self) -> None:
         """Forget everything about the run so far: estimate, plan, last input, failures."""

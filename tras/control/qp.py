@@ -8,7 +8,7 @@ from tras.workflow.arguments import extra
 
 _SOFT = 8  # DAQP's word for a constraint that may be violated at a cost
 _REASONS = {-1: "infeasible", -2: "cycling", -3: "unbounded", -4: "iteration limit", -5: "not convex", -7: "time limit"}
-TOLERANCE = 1e-9  # of constraints, in the scaled channels of a controller
+TOLERANCE = 1e-12  # of constraints: those of a state at the next sample move the inputs by 1e5 times that
 
 
 class Solution(NamedTuple):

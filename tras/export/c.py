@@ -18,7 +18,7 @@ _SHIFTS_OF_INPUTS = """\
     for (int i = {end}; i >= {second}; i--) x_next[i] = x[i - {m}];
     for (int i = 0; i < {m}; i++) x_next[{past} + i] = u[i];
 """
-_HULL = """\
+HULL = """\
     /* The nearest point of the box around the training data, along their principal axes. */
     double near[CHANNELS], beyond[CHANNELS];
     for (int j = 0; j < CHANNELS; j++) {
@@ -85,7 +85,7 @@ void {name}_step(const double *x, const double *u, double *x_next)
 """
 _SCALE_INPUTS = "    for (int i = 0; i < INPUTS; i++) z[STATES + i] = (u[i] - u_offset[i]) / u_scale[i];\n"
 _LINEAR = """\
-void {name}_lift(const double *x, double *z)
+void {name}lift(const double *x, double *z)
 {{
     double scaled[STATES];
     for (int i = 0; i < STATES; i++) scaled[i] = (x[i] - x_offset[i]) / x_scale[i];
@@ -159,7 +159,7 @@ def _header(model, name, slopes):
     if linear:
         lines += [
             "/* Lift a state once, step in the lifted space, where the system is linear, and read x from z. */",
-            f"void {name}_lift(const double *x, double *z);",
+            f"void {name}lift(const double *x, double *z);",
         ]
     state = "z" if linear else "x"
     lines += [
@@ -196,22 +196,23 @@ def _source(model, name, slopes):
         body = _MAP.format(
             what="Rates of the states" if model.predictor == "vector_field" else "The states one sample later",
             beyond="; beyond the training data linear" if hull else "",
-            hull=_HULL if hull else "",
+            hull=HULL if hull else "",
             point="near" if hull else "z",
             outward=_OUTWARD if hull else "",
         )
         body += _steps(model, name)
         if slopes:
-            entries, code = derivatives.advance(model, _HULL if hull else "")
+            entries, code = derivatives.advance(model, HULL if hull else "")
             counts["SLOPES"], body = len(entries["slope_of"]), f"{body}\n{code}"
             arrays |= entries
     if slopes:
         body += derivatives.function(model, name)
     constants = "enum { " + ", ".join(f"{key} = {value}" for key, value in counts.items()) + " };\n\n"
-    return constants + "".join(map(_array, arrays, arrays.values())) + "\n" + _lift(model) + body
+    return constants + "".join(map(array, arrays, arrays.values())) + "\n" + lift(model) + body
 
 
-def _lift(model):
+def lift(model):
+    """The function that lifts scaled channels."""
     lines = symbols.code(symbols.functions(model.dictionary_), symbols.C)
     names = [f" psi[{i}]: {in_code(function)}" for i, function in enumerate(model.names_)]
     head = ["/*", *names, " */", "static void lift(const double *z, double *psi)", "{"]
@@ -234,7 +235,7 @@ def _steps(model, name):
     return scale + _STEP.format(name=name, body=body, n=n) + (_FIELD.format(name=name) if field else "")
 
 
-def _array(name, values):
+def array(name, values):
     """A constant array, one row per line; of whole numbers if all are."""
     size = "".join(f"[{k}]" for k in np.shape(values))
     if np.asarray(values).dtype.kind == "i":

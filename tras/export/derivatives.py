@@ -21,9 +21,15 @@ static void map_slopes(const double *z, double *result, double slopes[][CHANNELS
         for (int j = 0; j < FUNCTIONS; j++) result[i] += matrix[i][j] * psi[j];
         for (int j = 0; j < CHANNELS; j++) slopes[i][j] = 0.0;
         for (int k = 0; k < SLOPES; k++) slopes[i][slope_by[k]] += matrix[i][slope_of[k]] * slope[k];
-    }}
+{inputs}    }}
 {outward}}}
 
+"""
+_INPUTS = """\
+        for (int j = 0; j < CHANNELS - STATES; j++) {
+            result[i] += by_input[i][j] * z[STATES + j];
+            slopes[i][STATES + j] = by_input[i][j];
+        }
 """
 _OUTWARD = """\
     for (int i = 0; i < ROWS; i++)
@@ -116,17 +122,21 @@ _INPUTLESS = "    (void)by_u;\n"
 
 
 def advance(model, hull):
-    """Arrays for ``lift_slopes``, ``map_slopes`` and ``advance_slopes`` of a model that lifts anew, and their code.
+    """Arrays for ``lift_slopes``, ``map_slopes`` and ``advance_slopes``, the map over one sample, and their code.
 
-    ``hull`` is the code by which a model finds the nearest point of its hull, "" without one.
+    A ``lifted_linear`` model is lifted anew here, and its ``by_input`` holds B. ``hull`` is the code by which a model
+    finds the nearest point of its hull, "" without one.
     """
     nodes = symbols.functions(model.dictionary_)
     n, m = len(model.state_names_), len(model.input_names_)
     count = len(model.channels_.z_scale)
-    entries = symbols.slopes(nodes, count + m)
+    linear = model.predictor == "lifted_linear"
+    entries = symbols.slopes(nodes, count if linear else count + m)
     lines = symbols.code(nodes, symbols.C, [slope for _, _, slope in entries], "slope[{}]")
     code = _LIFT.format(lines="\n".join(f"    {line}" for line in lines))
-    code += _MAP.format(hull=hull, point="near" if hull else "z", outward=_OUTWARD if hull else "")
+    code += _MAP.format(
+        hull=hull, point="near" if hull else "z", outward=_OUTWARD if hull else "", inputs=_INPUTS if linear else ""
+    )
     core = "    map_slopes(start, z, slopes);\n"
     if model.predictor == "vector_field":
         core = _RUNGE_KUTTA.format(dt=symbols.literal(model.dt_), substeps=int(model.substeps_))

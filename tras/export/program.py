@@ -20,6 +20,7 @@ enum {{ HARD, SLACK }};
 #define LINEAR {linear}
 #define QUADRATIC {quadratic}
 #define TOLERANCE {tolerance}
+#define ROUNDING 1e-9 /* what a row that depends on the working set may miss by rounding alone */
 #define MOST_ITERATIONS {iterations}
 
 typedef struct {{
@@ -116,6 +117,8 @@ static void delete(program *p, int which)
     int k = --p->working;
     double move[LARGEST], weight = p->pivot[which];
     p->is_working[p->row[which]] = 0;
+    for (int row = 0; row < BOUNDED; row++)
+        if (p->is_working[row] < 0) p->is_working[row] = 0;
     for (int i = which; i < k; i++) {{
         move[i] = p->lower[i + 1][which];
         for (int j = 0; j < VARIABLES; j++) p->half[i][j] = p->half[i + 1][j];
@@ -148,8 +151,8 @@ static void solve_factors(const program *p, double *x)
     }}
 }}
 
-/* v from the multipliers, and how far each of the first rows is from where it should be. */
-static void primal(program *p, int rows, double *missing)
+/* v from the multipliers of the first rows, and of those that wait. */
+static void primal(program *p, int rows)
 {{
     for (int j = 0; j < VARIABLES; j++) p->v[j] = 0.0;
     for (int i = 0; i < LARGEST; i++) {{
@@ -158,6 +161,11 @@ static void primal(program *p, int rows, double *missing)
     }}
     substitute_back(p, p->v);
     for (int j = 0; j < VARIABLES; j++) p->v[j] += p->free[j];
+}}
+
+/* How far each of the first rows is from where it should be. */
+static void miss(const program *p, int rows, double *missing)
+{{
     for (int i = 0; i < rows; i++) {{
         int row = p->row[i], side = p->side[i];
         missing[i] = of_row(p, row, p->v) - (side > 0 ? p->high[row] : p->low[row]);
@@ -230,12 +238,17 @@ static int enter(program *p, int row, int side, double multiplier)
         solve_factors(p, move);
         move[k] = 1.0;
         /* Along this direction v does not move, and the dual function is a straight line: uphill. */
-        primal(p, k + 1, missing);
+        primal(p, k + 1);
+        miss(p, k + 1, missing);
         slope = 0.0;
         for (int i = 0; i <= k; i++) slope += move[i] * missing[i];
         if (slope < 0.0)
             for (int i = 0; i <= k; i++) move[i] = -move[i];
         for (int i = 0; i <= k; i++) step = allowed(p, i, move[i], step, &blocks);
+        if (multiplier == 0.0 && fabs(slope) <= ROUNDING) {{
+            p->is_working[row] = -1; /* those that it depends on keep it, until one of them leaves */
+            return SOLVED;
+        }}
         if (blocks < 0) return INFEASIBLE;
         if (++p->iterations > MOST_ITERATIONS) return TOO_MANY_ITERATIONS;
         for (int i = 0; i <= k; i++) p->multiplier[i] += step * move[i];
@@ -268,33 +281,34 @@ static int solve_program(program *p)
         double limit = p->side[i] > 0 ? p->high[p->row[i]] : p->low[p->row[i]];
         if (fabs(limit) < INFINITY) append(p, p->row[i], p->side[i], p->mode[i], p->multiplier[i]);
     }}
+    primal(p, p->working);
     for (;;) {{
-        int blocks = -1, entering, side = 1, status;
-        double step = 1.0;
-        if (++p->iterations > MOST_ITERATIONS) return TOO_MANY_ITERATIONS;
-        if (p->waiting) {{
-            int slot = LARGEST - p->waiting--;
-            status = enter(p, p->row[slot], p->side[slot], p->multiplier[slot]);
-            if (status != SOLVED) return status;
-            continue;
-        }}
+        int blocks = -1, row, side = 1, status;
+        double step = 1.0, multiplier = 0.0;
         /* Towards the minimum on the working set, as far as the multipliers stay on their pieces. */
-        primal(p, p->working, move);
+        miss(p, p->working, move);
         solve_factors(p, move);
         for (int i = 0; i < p->working; i++) step = allowed(p, i, move[i], step, &blocks);
         for (int i = 0; i < p->working; i++) p->multiplier[i] += step * move[i];
-        if (blocks >= 0) {{
-            change(p, blocks);
+        if (blocks >= 0) change(p, blocks);
+        primal(p, p->working);
+        if (++p->iterations > MOST_ITERATIONS) return TOO_MANY_ITERATIONS;
+        if (p->waiting) {{
+            int slot = LARGEST - p->waiting--;
+            row = p->row[slot], side = p->side[slot], multiplier = p->multiplier[slot];
+        }} else if (blocks >= 0) {{
             refined = 0;
             continue;
+        }} else {{
+            row = violated(p, &side);
+            if (row < 0 && refined++) return SOLVED; /* the second step on the same set removes what rounding left */
+            if (row < 0) continue;
         }}
-        primal(p, p->working, move);
-        entering = violated(p, &side);
-        if (entering < 0 && refined++) return SOLVED; /* the second step on the same set removes what rounding left */
-        if (entering < 0) continue;
         refined = 0;
-        status = enter(p, entering, side, 0.0);
+        before = p->iterations;
+        status = enter(p, row, side, multiplier);
         if (status != SOLVED) return status;
+        if (p->iterations > before || multiplier != 0.0) primal(p, p->working);
     }}
 }}
 """
@@ -307,7 +321,7 @@ def solver(
     soft: int = 0,
     linear: float = 1e3,
     quadratic: float = 1e3,
-    tolerance: float = 1e-10,
+    tolerance: float = 1e-12,
     iterations: int = 1000,
 ) -> str:
     """Its source for programs of one size: ``general`` rows beside the bounds of the variables, ``soft`` of them soft.
