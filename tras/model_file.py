@@ -66,6 +66,7 @@ def save(model, path):
     """See `tras.KoopmanModel.save`."""
     arrays = {key: value for key in _ARRAYS if (value := getattr(model, key, None)) is not None}
     parameters = {key: value for key, value in model.get_params(deep=False).items() if key != "dictionary"}
+    del parameters["max_functions"]  # a limit of a fit, not of the model
     if not parameters["lead"]:
         del parameters["lead"]  # then the file is as earlier releases write and read it
     header = {

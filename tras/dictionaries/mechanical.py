@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tras.dictionaries.base import Dictionary
+from tras.dictionaries.base import MOST_DEGREE, Dictionary
 from tras.workflow import arguments
 
 
@@ -61,7 +61,7 @@ class Mechanical(Dictionary):
         return f"mechanical, degree {self.degree} in {shape}"
 
     def _count(self):
-        arguments.whole_number("degree", self.degree)
+        arguments.whole_number("degree", self.degree, 1, MOST_DEGREE)
         positions, velocities, shape = self._roles()
         polynomials = math.comb(len(shape) + self.degree, len(shape))
         pairs = math.comb(len(velocities) + 1, 2)
@@ -69,7 +69,7 @@ class Mechanical(Dictionary):
         return polynomials - 1 - len(shape) + letters * (polynomials - 1) + pairs * polynomials
 
     def _build(self):
-        arguments.whole_number("degree", self.degree)
+        arguments.whole_number("degree", self.degree, 1, MOST_DEGREE)
         positions, velocities, shape = self._roles()
         n, m = self.n_states_, self.n_inputs_
         others = [p for p in positions if p not in shape]
