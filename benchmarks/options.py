@@ -175,6 +175,8 @@ def main():
         counts["models" if "functions" in outcome else "refusals"] += 1
         for kind, fault in faults.items():
             counts[kind] += bool(fault)
+        if number % 100 == 99:
+            print(f"{number + 1} done", file=sys.stderr, flush=True)
         if any(faults.values()):
             print(number, json.dumps(outcome), flush=True)
     most = f"at most {slowest:.0f} s of processor time and {largest / 2**20:.0f} MiB"
