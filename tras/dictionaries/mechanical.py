@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tras.dictionaries.base import Dictionary
+from tras.dictionaries.base import MOST_DEGREE, Dictionary
 from tras.workflow import arguments
 
 # Force of an actuator by its speed, beside the linear one: power -> by how much lower the degree in the shape is.
@@ -95,7 +95,7 @@ class Mechanical(Dictionary):
             self.origin_ = self._origin
 
     def _count(self):
-        arguments.whole_number("degree", self.degree)
+        arguments.whole_number("degree", self.degree, 1, MOST_DEGREE)
         channels = len(self._roles()[2])
         total = 0
         for word, degree, bend in self._groups():
@@ -105,7 +105,7 @@ class Mechanical(Dictionary):
         return total
 
     def _build(self):
-        arguments.whole_number("degree", self.degree)
+        arguments.whole_number("degree", self.degree, 1, MOST_DEGREE)
         groups = self._groups()
         self._shape = self._roles()[2]
         shapes = {degree: _powers(len(self._shape), degree) for degree in {degree for _, degree, _ in groups}}
@@ -153,7 +153,7 @@ class Mechanical(Dictionary):
 
     def _bent(self, channel):
         """Whether there are data on both sides of a channel's zero: elsewhere z|z| is a polynomial."""
-        return bool(abs(self.origin_[channel]) < _INSIDE)
+        return not hasattr(self, "origin_") or bool(abs(self.origin_[channel]) < _INSIDE)  # before learning: at most
 
     @property
     def confined(self) -> list[int] | None:
