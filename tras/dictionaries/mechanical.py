@@ -9,7 +9,7 @@ import numpy as np
 from tras.dictionaries.base import MOST_DEGREE, Dictionary
 from tras.workflow import arguments
 
-# Force of an actuator by its speed, beside the linear one: power -> by how much lower the degree in the shape is.
+# Force of an actuator by its speed, beside the linear one: power -> how much lower the degree of its shape is.
 _FORCES = {2: 3, 3: 3, 4: 5, 5: 6}
 _SWITCHED = 2  # the same of the force with the sign of the speed, w|w|, and of what an input adds by itself
 _DRAG = 8  # highest power of an actuator's own drag
@@ -67,8 +67,8 @@ class Mechanical(Dictionary):
     >>> psi.feature_names(["q", "v", "u"])[4:]
     ['T2(q)', 'T1(q) u', 'T2(q) u', 'T1(q) v', 'T2(q) v', 'v v', 'T1(q) v v', 'T2(q) v v']
     >>> rotor = Mechanical(1, actuators=[2]).fit(np.zeros((501, 3)), np.zeros((501, 1)))
-    >>> rotor.feature_names(["q", "v", "w", "u"])[5:12]
-    ['v v', 'T1(q) w', 'T2(w)', 'T3(w)', 'T4(w)', 'T5(w)', 'w|w|']
+    >>> rotor.feature_names(["q", "v", "w", "u"])[8:14]
+    ['T1(q) w', 'T2(w)', 'T3(w)', 'T4(w)', 'T5(w)', 'w|w|']
     """
 
     def __init__(
