@@ -39,11 +39,11 @@ def styled(**settings):
 
 
 def plain_decades(axis: Axis) -> None:
-    """Numbers of a logarithmic axis as text: 0.01, not ten to a power; 2 and 5 too where a decade or less is seen."""
+    """Numbers of a logarithmic axis as text: 0.01, not ten to a power; 2 and 5 too where few decades are seen."""
 
     def between(value, _):
         low, high = axis.get_view_interval()
-        few = 0 < high <= 20 * low and f"{value:e}"[0] in "25"
+        few = 0 < high <= 50 * low and f"{value:e}"[0] in "25"
         return f"{value:g}" if few else ""
 
     axis.set_major_formatter("{x:g}")

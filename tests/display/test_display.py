@@ -93,7 +93,7 @@ def test_compare_says_the_fit_that_the_metric_has(recording, model, poor):
         assert np.array_equal(truth.get_ydata(), one.states[0][:, i])
         shown, run = predictions[1].get_ydata(), poor.predict(one)[0][:, i]
         inside = (run >= panel.get_ylim()[0]) & (run <= panel.get_ylim()[1])
-        assert np.array_equal(shown[inside], run[inside]) and inside.sum() > 40
+        assert np.allclose(shown[inside], run[inside], rtol=1e-9) and inside.sum() > 40
         assert len({str(dashes(line)) for line in (truth, *predictions)}) == 3
         assert np.allclose(truth.get_xdata(), np.arange(80) * 0.05)
     assert figure.axes[-1].get_xlabel() == "time (s), trajectory 2 of 6"

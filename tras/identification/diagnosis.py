@@ -32,6 +32,27 @@ class Responses(NamedTuple):
     remarks: list[str]
 
 
+class Diagnosis(NamedTuple):
+    """From `diagnose`: name of a figure -> tests of residuals, or why there are none; and responses, if any."""
+
+    tests: dict[str, Residuals | str]
+    responses: Responses | None
+
+
+def diagnose(identification) -> Diagnosis:
+    """Both for one `Identification`."""
+    with one_blas_thread():
+        return Diagnosis(residual_tests(identification), of_responses(identification))
+
+
+def outputs(identification) -> dict[str, str]:
+    """States whose responses are worth drawing, with their units: a velocity's is its position's over again."""
+    recording = identification.recording
+    velocities = {velocity for _, velocity in identification.pairs}
+    units = dict(zip(recording.state_names, recording.state_units))
+    return {name: unit for name, unit in units.items() if name not in velocities} or units
+
+
 def residual_tests(identification) -> dict[str, Residuals | str]:
     """Tests of the residuals over one sample and over several, of the whole test; or why there is none."""
     whole, model = identification.whole_test, identification.model
@@ -62,11 +83,6 @@ def of_responses(identification) -> Responses | None:
     """Responses of the linearised model, with the bootstrap's band, and of the recording; None without inputs."""
     if not identification.recording.m:
         return None
-    with one_blas_thread():
-        return _of_responses(identification)
-
-
-def _of_responses(identification):
     model, recording = identification.model, identification.recording
     x, u, rests = responses.rest_point(model, recording)
     system = matrices(model, x, u)
