@@ -139,6 +139,11 @@ def segment_length(recording: "Recording") -> int:
     return samples if samples >= FEWEST else 0
 
 
+def starts(length: int, samples: int) -> range:
+    """Where the segments of a trajectory begin, which overlap by half."""
+    return range(0, length - samples + 1, samples // 2)
+
+
 def measured_response(states: list[np.ndarray], inputs: list[np.ndarray], dt: float, samples: int) -> Measured | None:
     """From trajectories (samples_i, n) and (samples_i, m), in segments of ``samples``; None if they are too few.
 
@@ -148,7 +153,7 @@ def measured_response(states: list[np.ndarray], inputs: list[np.ndarray], dt: fl
     window, parts = signal.get_window("hann", samples)[:, None], []
     for pair in zip(states, inputs):
         both = np.hstack(pair)
-        for k in range(0, len(both) - samples + 1, samples // 2):
+        for k in starts(len(both), samples):
             parts.append(np.fft.rfft(signal.detrend(both[k : k + samples], axis=0, type="constant") * window, axis=0))
     averages = len(parts) / _OVERLAP
     if averages <= m + 1:

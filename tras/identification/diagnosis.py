@@ -98,7 +98,8 @@ def of_responses(identification) -> Responses | None:
     samples = responses.segment_length(recording)
     measured = simulated = None
     if samples:
-        measured = responses.measured_response(*map(list, zip(*recording)), recording.dt, samples)
+        later = [(x[model.delays :], u[model.delays :]) for x, u in recording if len(x) > model.delays]
+        measured = responses.measured_response(*map(list, zip(*later)), recording.dt, samples)
     if measured is not None and label(model.dictionary) != LINEAR_DICTIONARY:
         simulated = _simulated(model, recording, samples)
     remarks += _trust(identification, measured)
@@ -191,16 +192,19 @@ def _rows(measured, i, j, of_model, grid):
 
 
 def _simulated(model, recording, samples):
-    """The response of the model's simulations over single segments, each from its first measured samples."""
-    d = model.delays
-    pieces = preparation.windows(recording, samples, d, _SIMULATED)
+    """The response of the model's simulations over the same segments, each from the measured samples before it."""
+    d, parts = model.delays, []
+    for x, u in recording:
+        for k in responses.starts(len(x) - d, samples):
+            parts.append((x[k : k + d + samples], u[k : k + d + samples]))
+    segments = preparation.thinned(recording.with_data(*map(list, zip(*parts))), _SIMULATED)
     with np.errstate(over="ignore", invalid="ignore"):
-        runs = model.predict(pieces)
+        runs = model.predict(segments)
     alive = [k for k, run in enumerate(runs) if np.isfinite(run).all()]
     if len(alive) < 0.9 * len(runs):
         return None
-    states = [runs[k][d:] for k in alive]
-    return responses.measured_response(states, [pieces.inputs[k][d:] for k in alive], recording.dt, samples)
+    states, inputs = ([part[k][d:] for k in alive] for part in (runs, segments.inputs))
+    return responses.measured_response(states, inputs, recording.dt, samples)
 
 
 def _trust(identification, measured):

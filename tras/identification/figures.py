@@ -8,9 +8,11 @@ from matplotlib.ticker import MaxNLocator
 from tras.display.plots import MOST, draw_in_frame, frame_of, with_units
 from tras.identification.scores import CONSTANT, HELD
 from tras.plotting import LINEAR, MODEL, TRUTH, new_figure, plain, plain_decades, require, styled
+from tras.workflow.arguments import short
 
 BAND = "90 % of a bootstrap"
 SHOWN = 2  # outputs and inputs of a response, side by side, at most
+_NAME = 12  # letters of a name in one of two columns
 _SIMULATED = {"color": "#009E73", "linestyle": "-.", "linewidth": 1.0}
 _MEASURED = {"color": "black", "linestyle": "none", "marker": "o", "markersize": 2.0}
 _DOUBTED = {"color": "0.6", "linestyle": "none", "marker": "o", "markersize": 1.8, "markerfacecolor": "none"}
@@ -204,5 +206,5 @@ def _points(panel, part, name):
 
 
 def _labels(units):
-    """Names with their units, ready to be drawn."""
-    return with_units(list(units), list(units.values()))
+    """Names with their units, short enough for one of two columns."""
+    return with_units([short(name, _NAME) for name in units], [short(unit, _NAME) for unit in units.values()])

@@ -258,7 +258,7 @@ def attempt(
     blocks : Recording, optional
         Longer stretches, for free runs.
     measured : Recording, optional
-        What was fitted, as measured: for information criteria of the same samples, whatever the candidate was fitted to.
+        What was fitted, as measured: for information criteria of the same samples, whatever the treatment.
 
     Returns
     -------
@@ -266,7 +266,8 @@ def attempt(
         ``functions``, ``strength`` (NaN if the estimator has none), ``windows`` and ``free`` (root mean squares over
         windows and free runs, in half-ranges of the states, each sample's at most 10), ``error`` (their geometric mean;
         infinite without a model), ``lost`` (windows in which the prediction ran away), ``failure`` (empty, or why there
-        is no model), ``squares`` (the mean square of each window), and ``AIC, BIC, FPE`` of ``measured``, NaN without.
+        is no model), ``squares`` (the mean square of each window), and with ``measured`` ``AIC, BIC, FPE`` (NaN where
+        unknown).
     """
     model, failure = clone(model), ""
     error, apart, free, lost, squares, information = math.inf, math.inf, math.nan, len(windows), None, {}
@@ -290,7 +291,9 @@ def attempt(
     functions = len(model.names_) if hasattr(model, "names_") else np.nan
     size = {"functions": functions, "strength": getattr(model, "strength_", np.nan)}
     scores = {"error": error, "windows": apart, "free": free, "lost": lost, "failure": failure, "squares": squares}
-    return size | scores | {name: information.get(name, math.nan) for name in ("AIC", "BIC", "FPE")}
+    if measured is not None:
+        scores |= {name: information.get(name, math.nan) for name in ("AIC", "BIC", "FPE")}
+    return size | scores
 
 
 def _criteria(model, measured, latest):
@@ -362,7 +365,8 @@ def _parts(treatments, names, samples, latest):
             f"stretches of {latest + 5} samples for the choice of a model: record more, or try fewer delays."
         )
     learn = [(i, a, b) for i, a, b in learn if b - a > latest]
-    parts = {name: preparation.stretches(treatments.whole(name), learn) for name in names}
+    treated = dict.fromkeys([*names, "as measured"])
+    parts = {name: preparation.stretches(treatments.whole(name), learn) for name in treated}
     blocks = preparation.stretches(measured, judge)
     windows = preparation.windows(blocks, samples, latest, SEARCHED // 2)
     longest = [(i, a, min(b, a + latest + _FREE)) for i, a, b in sorted(judge, key=lambda span: span[1] - span[2])[:8]]
