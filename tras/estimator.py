@@ -240,7 +240,7 @@ class Estimator(BaseEstimator):
         """
         from tras.display import plots
 
-        return plots.compare(recording, self, trajectory=trajectory, ax=ax)
+        return plots.one_run(recording, self, trajectory, ax)
 
     def residuals(
         self, recording: Recording, *, steps: int = 1, lags: int = 25, significance: float = 0.01
