@@ -23,13 +23,18 @@ IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL TEST FROM TO DECIMATE DT RESAMPLE
 TYPED := $(foreach name,RECORDING $(IDENTIFY),$(if $(and $(filter command,$(origin $(name))),$(value $(name))),$(name)))
 $(foreach name,$(TYPED),$(eval override $(name) := $$(value $(name)))$(eval export $(name)))
 
-# The same bits on every run: sums depend on the number of BLAS threads. Kernels choose the inline backend by themselves.
+# The same bits on every run: sums depend on the number of BLAS threads, and on what BLAS and NumPy choose for the processor.
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 export PYTHONHASHSEED := 0
-unexport MPLBACKEND
-unexport PYTHONDONTWRITEBYTECODE  # uv leaves compiling to the first import; without the result each stage takes 1.5 s longer
+# What else is in the environment stays out: another tras on PYTHONPATH, another kernel, the user's settings of notebooks and figures. With
+# PYTHONDONTWRITEBYTECODE each stage would take 1.5 s longer (uv leaves compiling to the first import); kernels choose their own backend.
+# What is said to make itself stays: make OPENBLAS_CORETYPE=Haswell verify.
+OUTSIDE := PYTHON% JUPYTER% IPYTHON% MPLBACKEND MATPLOTLIB% OPENBLAS_% GOTO_% OMP_% MKL_% KMP_% NPY_% GLIBC_TUNABLES BASH_ENV
+unexport $(foreach name,$(filter $(OUTSIDE),$(.VARIABLES)),$(if $(filter environment,$(origin $(name))),$(name)))
+export MATPLOTLIBRC := /dev/null
+export JUPYTER_PREFER_ENV_PATH := 1
 
 # --- profiles: paper, smoke (the same code, small), or your own params/NAME.yaml ------------------------------------------------
 
@@ -144,7 +149,7 @@ test: $(READY) ## maintain | 14 min | unit tests, then every notebook of the sma
 	MPLBACKEND=Agg $(PY) -m pytest || failed="unit tests"; \
 	$(MAKE) PROFILE=smoke stages \
 	  && $(MAKE) example && $(MAKE) identify RECORDING=build/example/duffing.csv OUT=build/smoke/identify \
-	  && $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) build/smoke/identify/identify.ipynb \
+	  && IPYTHONDIR=$(CURDIR)/build/ipython $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) build/smoke/identify/identify.ipynb \
 	  || failed="$${failed:+$$failed, }notebooks of the small profile"; \
 	test -z "$$failed" || { echo "make test: FAILED ($$failed): see the first failure of each above." >&2; exit 1; }; \
 	echo "make test: the unit tests passed, and every notebook of the small profile gives what it gave."

@@ -83,6 +83,12 @@ def test_a_lead_is_the_input_one_sample_earlier(predictor, delays, tmp_path):
         assert "lead" not in str(file["header"])
     tras.export.to_c(model, tmp_path / "model.c")
     assert "the input at the end of a sample" in (tmp_path / "model.h").read_text()
+    if predictor == "lifted_linear":
+        system, first = tras.export.to_statespace(model), log.states[0][delays::-1].ravel()
+        z = model.lift(np.concatenate([first, u[1 : delays + 1][::-1].ravel()])) - model.B_ / model.u_scale_ @ u[delays]
+        for k in range(delays, 60):
+            assert np.allclose(system.C @ z + system.D @ u[k], whole[k], rtol=0, atol=1e-7 * np.ptp(part))
+            z = system.A @ z + system.B @ u[k]
     with pytest.raises(ValueError, match="lead is 2"):
         tras.KoopmanModel(tras.Monomials(1), lead=2).fit(log)
 

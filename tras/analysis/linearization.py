@@ -26,9 +26,18 @@ class StateSpace(NamedTuple):
 
 def linearize(model: "KoopmanModel", x: ArrayLike | None = None, u: ArrayLike | None = None) -> Any:
     """See `tras.KoopmanModel.linearize`."""
+    system = matrices(model, x, u)
+    lifted = model.predictor == "lifted_linear"
+    names = [f"z{i + 1}" for i in range(len(system.A))] if lifted else model.channels_.z_names
+    return _named(model, system, names)
+
+
+def matrices(model: "KoopmanModel", x: ArrayLike | None = None, u: ArrayLike | None = None) -> StateSpace:
+    """The matrices of `linearize`, without python-control."""
     model.require_fitted()
+    lead, dt = model.channels_.lead, float(model.dt_)
     if model.predictor == "lifted_linear":
-        return _of_lifting(model)
+        return acting(lead, *_of_lifting(model), dt)
     channels = model.channels_
     x, u = _point(model, x, u)
     z, v = channels.points(x, u)
@@ -36,7 +45,15 @@ def linearize(model: "KoopmanModel", x: ArrayLike | None = None, u: ArrayLike | 
     count, n = len(z), len(channels.state_names)
     A = slopes[:, :count] * channels.z_scale[:, None] / channels.z_scale
     B = slopes[:, count:] * channels.z_scale[:, None] / channels.u_scale
-    return _system(model, A, B, np.eye(n, count), channels.z_names)
+    return acting(lead, A, B, np.eye(n, count), dt)
+
+
+def acting(lead: int, A: np.ndarray, B: np.ndarray, C: np.ndarray, dt: float) -> StateSpace:
+    """``z[k+1] = A z[k] + B u[k + lead]``, ``x = C z`` as a system of the input u[k].
+
+    With a lead the state is ``z[k] - B u[k]``: what the input of the same instant has not moved yet. So D is ``C B``.
+    """
+    return StateSpace(A, A @ B, C, C @ B, dt) if lead else StateSpace(A, B, C, np.zeros((len(C), B.shape[1])), dt)
 
 
 def _slopes_over_a_sample(model, z, v):
@@ -65,17 +82,19 @@ def _of_lifting(model):
     A, B = model.koopman_matrix.T[1:, 1:].copy(), model.B_[1:] / scale
     C = np.zeros((n, len(A)))
     C[np.arange(n), model.dictionary_.coordinates[:n] - 1] = model.x_scale_
-    return _system(model, A, B, C, [f"z{i}" for i in range(1, len(A) + 1)])
+    return A, B, C
 
 
-def _system(model, A, B, C, states):
-    system = StateSpace(A, B, C, np.zeros((len(C), B.shape[1])), float(model.dt_))
+def _named(model, system, states):
+    """The system with names of signals, for python-control; ``states`` are those of its states."""
+    n = len(system.C)
     signals = [name.replace(".", "_") for name in (*model.state_names_, *model.input_names_)]  # it allows no dot
-    outputs, inputs = signals[: len(C)], signals[len(C) :]
+    outputs, inputs = signals[:n], signals[n:]
     if len(set(signals)) < len(signals):
-        outputs, inputs = [f"x{i + 1}" for i in range(len(C))], [f"u{i + 1}" for i in range(len(inputs))]
+        outputs, inputs = [f"x{i + 1}" for i in range(n)], [f"u{i + 1}" for i in range(len(inputs))]
     states = [name.replace(".", "_") for name in states]
-    states = states if len(set(states)) == len(states) else [f"z{i + 1}" for i in range(len(states))]
+    if len(set(states)) < len(states) or model.channels_.lead:  # with a lead they are no channels
+        states = [f"z{i + 1}" for i in range(len(states))]
     return for_control(system, inputs=inputs, outputs=outputs, states=states, name="linearized")
 
 

@@ -179,7 +179,7 @@ def search(
                 options["dictionary"] = label(model.dictionary)
                 # Without delays no pair is lost by a cut, and the choice of a strength needs no longer roll-outs.
                 train = parts[name] if model.delays else parts[name].cut_all(samples)
-                scores = attempt(model, train, windows, latest, blocks)
+                scores = attempt(model, train, windows, latest, blocks, parts["as measured"])
                 rows.append({"round": number, "states": name, **options, **scores, "model": model})
         return pd.DataFrame(rows)
 
@@ -247,7 +247,10 @@ def _leads(recording, lead):
     return [1] if intersample in ("foh", "bl") else [0, 1]
 
 
-def attempt(model, train: Recording, windows: Recording, latest: int, blocks: Recording | None = None) -> dict:
+def attempt(
+    model, train: Recording, windows: Recording, latest: int, blocks: Recording | None = None,
+    measured: Recording | None = None,
+) -> dict:  # fmt: skip
     """Fit a copy of one candidate, and judge it by roll-outs over trajectories that it was not fitted to.
 
     Parameters
@@ -261,6 +264,8 @@ def attempt(model, train: Recording, windows: Recording, latest: int, blocks: Re
         The sample from which predictions begin.
     blocks : Recording, optional
         Longer stretches, for free runs.
+    measured : Recording, optional
+        What was fitted, as measured: for information criteria of the same samples, whatever the treatment.
 
     Returns
     -------
@@ -268,10 +273,11 @@ def attempt(model, train: Recording, windows: Recording, latest: int, blocks: Re
         ``functions``, ``strength`` (NaN if the estimator has none), ``windows`` and ``free`` (root mean squares over
         windows and free runs, in half-ranges of the states, each sample's at most 10), ``error`` (their geometric mean;
         infinite without a model), ``lost`` (windows in which the prediction ran away), ``failure`` (empty, or why there
-        is no model), ``squares`` (the mean square of each window).
+        is no model), ``squares`` (the mean square of each window), and with ``measured`` ``AIC, BIC, FPE`` (NaN where
+        unknown).
     """
     model, failure = clone(model), ""
-    error, apart, free, lost, squares = math.inf, math.inf, math.nan, len(windows), None
+    error, apart, free, lost, squares, information = math.inf, math.inf, math.nan, len(windows), None, {}
     half_range = np.ptp(windows.states, axis=(0, 1)) / 2
     half_range = np.where(half_range > 0, half_range, 1.0)
     try:
@@ -285,12 +291,25 @@ def attempt(model, train: Recording, windows: Recording, latest: int, blocks: Re
                 misses = np.concatenate([(run - x[latest:]) / half_range for run, (x, _) in runs])
                 free = float(np.sqrt(np.mean(capped(misses) ** 2)))
                 error = math.sqrt(apart * free)
+        if measured is not None:
+            information = _criteria(model, measured, latest)
     except (ValueError, MemoryError) as reason:
         failure = str(reason)
     functions = len(model.names_) if hasattr(model, "names_") else np.nan
     size = {"functions": functions, "strength": getattr(model, "strength_", np.nan)}
     scores = {"error": error, "windows": apart, "free": free, "lost": lost, "failure": failure, "squares": squares}
+    if measured is not None:
+        scores |= {name: information.get(name, math.nan) for name in ("AIC", "BIC", "FPE")}
     return size | scores
+
+
+def _criteria(model, measured, latest):
+    """AIC, BIC and FPE of all states together, of the same one-step predictions whatever the model's delays."""
+    measured = measured[measured.lengths > latest + 1]
+    try:
+        return model.information_criteria(without_first(measured, latest - model.delays)).iloc[-1]
+    except ValueError:  # as many parameters as samples, or a prediction that runs away
+        return {}
 
 
 def roll_outs(model, starts: Recording, latest: int) -> list[np.ndarray]:
@@ -353,7 +372,8 @@ def _parts(treatments, names, samples, latest):
             f"stretches of {latest + 5} samples for the choice of a model: record more, or try fewer delays."
         )
     learn = [(i, a, b) for i, a, b in learn if b - a > latest]
-    parts = {name: preparation.stretches(treatments.whole(name), learn) for name in names}
+    treated = dict.fromkeys([*names, "as measured"])
+    parts = {name: preparation.stretches(treatments.whole(name), learn) for name in treated}
     blocks = preparation.stretches(measured, judge)
     windows = preparation.windows(blocks, samples, latest, SEARCHED // 2)
     longest = [(i, a, min(b, a + latest + _FREE)) for i, a, b in sorted(judge, key=lambda span: span[1] - span[2])[:8]]
