@@ -24,15 +24,10 @@ _ACCURACY = 1e-6  # half-ranges: what no prediction over one sample is better th
 
 
 class Horizon(NamedTuple):
-    """States ``free + response @ moves`` at the next samples, (N, n'), and what follows the last of them.
-
-    ``free`` is (N, n'), ``response`` (N, n', moves, m). ``last`` is (A, B, c) of the last sample, ``z+ = A z + B u +
-    c``, or None where the plan of the states has no effect.
-    """
+    """States ``free + response @ moves`` at the next samples: ``free`` (N, n'), ``response`` (N, n', moves, m)."""
 
     free: np.ndarray
     response: np.ndarray
-    last: tuple[np.ndarray, np.ndarray, np.ndarray] | None
 
 
 class Predictor:
@@ -51,6 +46,7 @@ class Predictor:
     channels: Channels
     limits: np.ndarray
     accuracy: np.ndarray
+    follows_plan = True  # whether the horizon depends on the plan along which it is linearised
 
     def advance(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
         """States one sample later: (n', points), (m, points) -> (n', points)."""
@@ -85,7 +81,14 @@ class Predictor:
             by_moves = A[k] @ by_moves
             by_moves[:, move * m : (move + 1) * m] += B[k]
             free[k], response[k] = state, by_moves.reshape(n, moves, m)
-        return Horizon(free, response, (A[-1], B[-1], c[-1]))
+        return Horizon(free, response)
+
+    def simulate(self, z0: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """States from ``z0`` (n',) on under inputs (N, m): (N + 1, n')."""
+        states = [z0[:, None]]
+        for held in u:
+            states.append(self.advance(states[-1], held[:, None]))
+        return np.concatenate(states, axis=1).T
 
     def start(self, states: Sequence[np.ndarray], inputs: Sequence[np.ndarray]) -> np.ndarray:
         """z (n',) from states and inputs in physical units, newest first; what is not known yet was as the oldest."""
@@ -126,6 +129,8 @@ class Lifted(Identified):
     M. Korda and I. Mezic, Automatica 93 (2018) 149. What does not depend on the state is made once.
     """
 
+    follows_plan = False
+
     def __init__(self, model: KoopmanModel):
         super().__init__(model)
         self._A, self._B, self._lift = model.koopman_matrix.T, model.B_, model.dictionary_.lift
@@ -135,7 +140,7 @@ class Lifted(Identified):
         if self._made is None or not np.array_equal(self._made[0], blocks):
             self._made = (blocks.copy(), *self._matrices(blocks))
         _, by_lifting, by_constant, response = self._made
-        return Horizon(by_lifting @ self._lift(z0[:, None])[:, 0] + by_constant @ d, response, None)
+        return Horizon(by_lifting @ self._lift(z0[:, None])[:, 0] + by_constant @ d, response)
 
     def _matrices(self, blocks):
         """``C A^k`` (N, n', N'), the sum of ``C A^i B`` (N, n', m), and the response to the moves."""
@@ -228,10 +233,16 @@ def plant(parameters: Rig, dt: float, *, step: float = 0.01) -> Equations:
     >>> plant(tras.PlantParameters(), 0.01).channels.state_names
     ('phi', 'phidot', 'psi', 'psidot')
     """
-    p, advance = parameters, stepper(parameters, dt, step=step, functions=np)
+    p, flow = parameters, stepper(parameters, dt, step=step, functions=np)
     speeds = getattr(p, "speed_limits", ())
+
+    def advance(x, u):
+        # A plan may hold speeds that no command gives; the rotors' polynomials mean nothing there.
+        rotors = (np.clip(speed, *ends) for speed, ends in zip(x[4:], speeds))
+        return np.stack(flow((*x[:4], *rotors), tuple(u)))
+
     return Equations(
-        lambda x, u: np.stack(advance(tuple(x), tuple(u))),
+        advance,
         dt,
         p.input_limits,
         p.state_names,
