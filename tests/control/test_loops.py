@@ -72,13 +72,15 @@ def test_a_step_of_yaw_without_preview_settles_in_a_second(height, mechanical):
     assert np.abs(before).max() < 1e-6  # nobody told it
 
 
-def test_a_constant_torque_that_nobody_knows_leaves_no_steady_error(mechanical):
+@pytest.mark.parametrize("disturbed", [None, ["u_phi", "u_psi"]])
+def test_a_constant_torque_that_nobody_knows_leaves_no_steady_error(disturbed, mechanical):
     torque = 0.1 * np.array([LIMITS[0][1], LIMITS[1][1]])
-    controller = mpc(mechanical)
+    controller = mpc(mechanical, observer=tras.Observer(mechanical, disturbed=disturbed))
     reference = np.tile([0.3, 0.8], (601, 1))
     run = tras.simulate_closed_loop(reference, 0.01, controllers=controller, disturbances=torque)
     assert np.abs(run.states[0][-50:, [0, 2]] - [0.3, 0.8]).max() < 1e-4
-    assert np.allclose(controller.disturbance, torque, atol=1e-4)
+    if disturbed:
+        assert np.allclose(controller.disturbance, torque, atol=1e-4)
     blind = tras.simulate_closed_loop(
         reference, 0.01, controllers=mpc(mechanical, offset_free=False), disturbances=torque
     )

@@ -25,8 +25,8 @@ class MPC(Controller):
     sample: one lifting for the whole horizon, exact slopes, and again one program (real-time iteration; M. Diehl, H. G.
     Bock and J. P. Schloeder, SIAM J. Control Optim. 43, 2005, 1714).
 
-    It is without steady error by default: a disturbance of the inputs is estimated and predicted (G. Pannocchia and J.
-    B. Rawlings, AIChE J. 49, 2003, 426), by `tras.Observer` of all states, or by the ``observer`` that it has.
+    It is without steady error by default: a disturbance is estimated and predicted (G. Pannocchia and J. B. Rawlings,
+    AIChE J. 49, 2003, 426), by a `tras.Observer` of all states, or by the ``observer`` that it has.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ class MPC(Controller):
         if self._u is None:
             raise ValueError("the controller has no plan yet; call it first.")
 
-    def _inputs(self, z, d, reference):
+    def _inputs(self, z, of_inputs, of_states, reference):
         N = self.horizon
         ahead = reference[np.minimum(np.arange(1, N + 1), len(reference) - 1)]
         first = self._u is None
@@ -173,7 +173,7 @@ class MPC(Controller):
             u, states = np.vstack([self._u[1:], self._u[-1:]]), self._z[1:]
         later = None
         for _ in range(_FIRST if first else self.iterations):
-            horizon = self._horizon(z, states, u, d)
+            horizon = self._horizon(z, states, u, of_inputs, of_states)
             if horizon is None:
                 self.status = _ASTRAY
                 break
@@ -188,7 +188,7 @@ class MPC(Controller):
             if settled or not self.predictor.follows_plan:
                 break
             if first:  # far from any plan its states are simulated, which keeps them where the model is sound
-                states = self.predictor.simulate(z, (u + d)[:-1])
+                states = self.predictor.simulate(z, (u + of_inputs)[:-1], of_states)
         if later is None:  # nothing was solved: the rest of the last plan, and states to begin anew with
             self.failures += 1
             later = states = np.tile(z, (N, 1))
@@ -197,11 +197,11 @@ class MPC(Controller):
         self._z = np.vstack([states, later[-1:]])
         return u[0]
 
-    def _horizon(self, z, states, u, d):
+    def _horizon(self, z, states, u, *disturbances):
         """The linear predictions, or None where the plan has gone where the model has no finite ones."""
         try:
             with np.errstate(over="ignore", invalid="ignore"):
-                horizon = self.predictor.horizon(z, states, u, d, self._blocks)
+                horizon = self.predictor.horizon(z, states, u, *disturbances, self._blocks)
         except (ValueError, ArithmeticError):  # so `tras.twin_rotor` says that it cannot go on
             return None
         return horizon if np.isfinite(horizon.free).all() and np.isfinite(horizon.response).all() else None
