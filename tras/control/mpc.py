@@ -239,7 +239,5 @@ def _blocks(moves, horizon):
     for i, length in enumerate(lengths):
         whole_number(f"moves[{i}]", length)
     if sum(lengths) != horizon:
-        raise ValueError(
-            f"moves holds {sum(lengths)} samples together, but the horizon has {horizon}; make them equal."
-        )
+        raise ValueError(f"moves holds {sum(lengths)} samples together but the horizon {horizon}; make them equal.")
     return np.repeat(np.arange(len(lengths)), lengths)
