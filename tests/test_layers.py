@@ -24,8 +24,9 @@ MAY_IMPORT = {
     "display": "plotting metrics dictionaries.base workflow.page",
     "twin_rotor": f"recording {LEAVES}",
     "large": f"{METHOD} workflow",
-    "export": f"{METHOD} {LEAVES}",
-    "control": f"{METHOD} twin_rotor {LEAVES}",
+    # The C of a controller is written by `export`; the command of `control` writes a controller, its page and its C.
+    "export": f"{METHOD} control {LEAVES}",
+    "control": f"{METHOD} twin_rotor export workflow",
     "identification": f"{METHOD} twin_rotor.excitation export workflow",
     "sweeps": f"{METHOD} twin_rotor identification.search workflow",
     "paper": BELOW_PAPER,

@@ -216,6 +216,16 @@ def _channel(row, name, is_input):
     elif row["step"] > 0.005 * span:
         percent = f"{100 * row['step'] / span:.2g} %"
         yield note(f"{name} is coarse", f"{name} moves in steps of {row['step']:.3g}, {percent} of its range.")
+    jumps = row["jump"] > 0.3 and row["jump"] > 5 * row["usual"]
+    if row["glitches"] and (is_input or not jumps):
+        count = f"{row['glitches']} samples leave" if row["glitches"] > 1 else "One sample leaves"
+        where = f"{row['glitch_at']:.6g} s after the beginning of trajectory {row['glitch_in']}"
+        yield warning(
+            f"{name} has a glitch",
+            f"{count} the neighbours in {name} and the next ones are back, as nowhere else; the farthest is {where}. "
+            "A single wrong sample can multiply the error of a model several times: repair it, or cut there. If that "
+            "is an impulse that was given, all is well.",
+        )
     if is_input:
         return
     if row["wraps"]:
@@ -232,7 +242,7 @@ def _channel(row, name, is_input):
             "counted as noise). Noise on the states biases the fit; a better sensor or slower sampling helps more "
             "than any model.",
         )
-    if row["jump"] > 0.3 and row["jump"] > 5 * row["usual"]:
+    if jumps:
         yield warning(
             f"{name} jumps",
             f"{name} changes by {100 * row['jump']:.0f} % of its range within one sample, but by less than "

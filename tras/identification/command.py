@@ -24,7 +24,7 @@ from pathlib import Path
 
 from tras.io.formats import FORMATS
 from tras.workflow.arguments import MissingExtraError, percent, visible, well_formed
-from tras.workflow.files import working_folder
+from tras.workflow.files import require_writable, working_folder
 from tras.workflow.parameters import ParameterError, check_parameters, notebook_defaults
 from tras.workflow.runner import Interrupted, RunError, interruptible, run_notebook
 
@@ -55,7 +55,8 @@ def main(arguments: list[str] | None = None, program: str = MODULE) -> int:
         print(visible(_advised(error.words, options, typed, program) if plain else error), file=sys.stderr)
         return 2 if plain else 1
     except OSError as error:
-        print(visible(f"{error.filename}: {error.strerror}" if error.filename else error), file=sys.stderr)
+        reason = f"{error.filename}: {error.strerror}" if error.filename else error.strerror or error
+        print(visible(reason), file=sys.stderr)
         return 1
     except Interrupted as interrupt:
         print("identify was interrupted; no results were written.", file=sys.stderr)
@@ -135,6 +136,8 @@ def _parser(program):
     smoothing = "smooth the states before the fit (default: both are tried if they are noisy)"
     add("--smoothing", default="", choices=["", "yes", "no"], help=smoothing)
     add("--lead", default="", choices=["", "0", "1"], help="the input acts after (0) or before (1) its sample")
+    actuators = "states that follow the inputs and drive the body, or none (default: found by their numbers)"
+    add("--actuators", type=_names, default=[], help=actuators)
     add("--horizon", type=float, default=0.0, help="how far ahead the model is to predict, in s")
     add("--draws", type=int, default=30, help="members of the bootstrap, 0 for no band")
     return parser
@@ -232,7 +235,8 @@ def _inside(path, root):
 
 def _run(out, parameters, root):
     """Run the notebook beside ``out``, move the executed one there at the very end: seconds, and the test in words."""
-    out.parent.mkdir(parents=True, exist_ok=True)
+    for folder in [out.parent, *(each for each in (out, *out.rglob("*")) if each.is_dir())]:
+        require_writable(folder)
     aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.run.", dir=out.parent))
     try:
         seconds = run_notebook(NOTEBOOK, aside / "identify.ipynb", parameters, cwd=root)
