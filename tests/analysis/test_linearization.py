@@ -118,7 +118,7 @@ def test_small_deviations_of_a_lifted_model_are_predicted():
 
 @pytest.mark.parametrize(
     "predictor, delays",
-    [("vector_field", 0), ("vector_field", 2), ("one_step", 0), ("one_step", 2), ("lifted_linear", 0), ("lifted_linear", 2)],
+    [("vector_field", 0), ("one_step", 0), ("one_step", 2), ("lifted_linear", 0), ("lifted_linear", 2)],
 )
 def test_an_input_of_the_same_instant_is_in_D(predictor, delays):
     """What a linear model with a lead simulates, the linear system does too: no sample early, none late."""
