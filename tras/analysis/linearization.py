@@ -4,14 +4,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.differentiate import jacobian
+
+from tras.predictors import PREDICTORS
 
 if TYPE_CHECKING:
     from tras.model import KoopmanModel
-
-STEP = 0.02  # half-ranges: the largest step of the differences, halved until they settle
-HALVINGS = 8
-TOLERANCE = 1e-11  # relative
 
 
 class StateSpace(NamedTuple):
@@ -41,7 +38,10 @@ def matrices(model: "KoopmanModel", x: ArrayLike | None = None, u: ArrayLike | N
     channels = model.channels_
     x, u = _point(model, x, u)
     z, v = channels.points(x, u)
-    slopes = _slopes_over_a_sample(model, z, v)
+    with np.errstate(over="ignore", invalid="ignore"):
+        slopes = PREDICTORS[model.predictor].advance_with_slopes(model)(z[:, None], v[:, None])[1][0]
+    if not np.isfinite(slopes).all():
+        raise ValueError("the model's prediction from this point runs away; give x and u in the range of its data.")
     count, n = len(z), len(channels.state_names)
     A = slopes[:, :count] * channels.z_scale[:, None] / channels.z_scale
     B = slopes[:, count:] * channels.z_scale[:, None] / channels.u_scale
@@ -54,26 +54,6 @@ def acting(lead: int, A: np.ndarray, B: np.ndarray, C: np.ndarray, dt: float) ->
     With a lead the state is ``z[k] - B u[k]``: what the input of the same instant has not moved yet. So D is ``C B``.
     """
     return StateSpace(A, A @ B, C, C @ B, dt) if lead else StateSpace(A, B, C, np.zeros((len(C), B.shape[1])), dt)
-
-
-def _slopes_over_a_sample(model, z, v):
-    """Derivatives of the predicted state (n', n' + m) by state and input, in scaled channels.
-
-    Of the map that `simulate` repeats, with all that belongs to it: substeps, the hull, delayed samples that shift.
-    """
-    count = len(z)
-
-    def one_sample(point):
-        columns = point.reshape(len(point), -1)
-        held = np.stack([columns[count:]] * 2)  # roll_out wants an input at both ends
-        later = model.roll_out_scaled(columns[:count], held)[1]
-        return later.reshape(count, *point.shape[1:])
-
-    settings = {"initial_step": STEP, "maxiter": HALVINGS, "order": 8, "tolerances": {"rtol": TOLERANCE, "atol": 1e-13}}
-    result = jacobian(one_sample, np.concatenate([z, v]), **settings)
-    if not np.isfinite(result.df).all():
-        raise ValueError("the model's prediction from this point runs away; give x and u in the range of its data.")
-    return result.df
 
 
 def _of_lifting(model):

@@ -14,7 +14,7 @@ from tras.identification.noise import noise_level
 from tras.identification.scores import CONSTANT, HELD
 from tras.identification.search import LINEAR_DICTIONARY
 from tras.workflow import page
-from tras.workflow.arguments import short
+from tras.workflow.arguments import percent, short
 
 
 class Advice(NamedTuple):
@@ -99,8 +99,8 @@ _BETTER = ("Do not use it", "A linear model is better", "A linear model ran away
 def _range_of(errors):
     worst = errors.index[int(np.nanargmax(errors))]
     if len(errors) == 1:
-        return f"{errors.iloc[0]:.2g} % of the range"
-    return f"{np.nanmin(errors):.2g} % to {np.nanmax(errors):.2g} % of the ranges, most in {worst}"
+        return f"{percent(errors.iloc[0])} of the range"
+    return f"{percent(np.nanmin(errors))} to {percent(np.nanmax(errors))} of the ranges, most in {worst}"
 
 
 def error_of(table, prediction, moving=None) -> float:

@@ -23,7 +23,7 @@ import tempfile
 from pathlib import Path
 
 from tras.io.formats import FORMATS
-from tras.workflow.arguments import MissingExtraError, visible, well_formed
+from tras.workflow.arguments import MissingExtraError, percent, visible, well_formed
 from tras.workflow.files import require_writable, working_folder
 from tras.workflow.parameters import ParameterError, check_parameters, notebook_defaults
 from tras.workflow.runner import Interrupted, RunError, interruptible, run_notebook
@@ -69,7 +69,7 @@ def _numbers_of_test(out):
     """The errors of the model in the test, per state, in a few words."""
     with open(out / "tables" / "metrics.csv", newline="", encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["prediction"] == "model"]
-    numbers = [f"{row['state']} {float(row['nrmse']):.2g} % ({float(row['free']):.2g} %)" for row in rows[:4]]
+    numbers = [f"{row['state']} {percent(row['nrmse'])} ({percent(row['free'])})" for row in rows[:4]]
     more = f" and {len(rows) - 4} more" if len(rows) > 4 else ""
     return f"NRMSE in the test (free run): {', '.join(numbers)}{more}"
 

@@ -7,6 +7,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 import pandas as pd
+from tqdm import tqdm
 
 from tras.display import plots
 from tras.export.c import to_c
@@ -22,6 +23,7 @@ from tras.plotting import save_figure
 from tras.recording import Recording
 from tras.workflow import page
 from tras.workflow.files import umask
+from tras.workflow.study import terminal
 
 _READABLE = 300  # functions; of more no formulas are written
 
@@ -177,10 +179,13 @@ def _figures(identification, diagnosed, folder):
     run, table = _free_run(identification)
     save_figure(run, table, folder / "free_run")
     pictures["free_run"] = page.picture(folder, "free_run")
-    for key, (draw, table, *arguments) in drawings.items():
-        if len(table):  # no spectra of a short recording
-            save_figure(draw(table, *arguments), table, folder / key)
-            pictures[key] = page.picture(folder, key)
+    with terminal() as stream:
+        for key, (draw, table, *arguments) in tqdm(
+            drawings.items(), desc="figures", leave=False, disable=None, file=stream
+        ):
+            if len(table):  # no spectra of a short recording
+                save_figure(draw(table, *arguments), table, folder / key)
+                pictures[key] = page.picture(folder, key)
     return pictures
 
 

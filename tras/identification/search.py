@@ -25,6 +25,7 @@ from tras.identification.preparation import Treatments, is_noisy
 from tras.metrics import capped, diverged, multi_step_error
 from tras.model import KoopmanModel
 from tras.recording import Recording, join
+from tras.workflow.study import terminal
 
 SEARCHED = 20_000  # snapshot pairs that `search` looks at, at most
 DELAYS = (0, 1, 2, 4, 8, 16, 32)  # that `search` tries by default
@@ -172,8 +173,10 @@ def search(
     rows, keys = [], set()
 
     def attempt_all(number, description, models):
-        for name, model in tqdm(models, desc=description, leave=False, disable=None):
-            if (name, repr(model)) not in keys:
+        with terminal() as stream:  # behind the notebook of `make identify`, too
+            for name, model in tqdm(models, desc=description, leave=False, disable=None, file=stream):
+                if (name, repr(model)) in keys:
+                    continue
                 keys.add((name, repr(model)))
                 options = {"delays": model.delays, "lead": model.lead, "predictor": model.predictor}
                 options["dictionary"] = label(model.dictionary)
