@@ -23,6 +23,7 @@ from tras.metrics import multi_step_error
 from tras.predictors import PREDICTORS, Map
 from tras.recording import Recording
 from tras.regularization import METHODS, STRENGTHS
+from tras.solver.threads import few_blas_threads
 from tras.workflow import arguments
 
 if TYPE_CHECKING:
@@ -217,10 +218,11 @@ class KoopmanModel(Estimator):
         self._fit, self.fitted_as_ = fit, (self.predictor, self.delays)
         self.channels_, self.dictionary_, self.names_ = fit.channels, fit.dictionary, fit.names
         strength = 0.0 if self.regularization is None or self.strength == "auto" else float(self.strength)
-        if held is not None:
-            strength = self._choose_strength(scaled, held)
-            fit.absorb(held, threads)
-        self._solve(strength, scaled)
+        with few_blas_threads(len(fit.names)):
+            if held is not None:
+                strength = self._choose_strength(scaled, held)
+                fit.absorb(held, threads)
+            self._solve(strength, scaled)
         return self
 
     def _choose_strength(self, scaled, held):
@@ -417,7 +419,8 @@ class KoopmanModel(Estimator):
         past = [u[:, :d][:, ::-1].reshape(len(u), -1)] if self.channels_.delayed_inputs else []
         z = np.concatenate([x[:, ::-1].reshape(len(x), -1), *past], axis=1)
         z, u = np.ascontiguousarray(z), np.ascontiguousarray(u[:, d:])  # the layout decides the last bits of products
-        states = self.roll_out_scaled(z.T, u.transpose(1, 2, 0))
+        with few_blas_threads(len(self.names_)):
+            states = self.roll_out_scaled(z.T, u.transpose(1, 2, 0))
         return np.concatenate([x[:, :d], states[:, : len(self.state_names_)].transpose(2, 0, 1)], axis=1)
 
 
