@@ -135,6 +135,7 @@ def _parser(program):
     smoothing = "smooth the states before the fit (default: both are tried if they are noisy)"
     add("--smoothing", default="", choices=["", "yes", "no"], help=smoothing)
     add("--lead", default="", choices=["", "0", "1"], help="the input acts after (0) or before (1) its sample")
+    add("--every", type=int, default=0, help="the only length of the model's step to try, in samples")
     add("--horizon", type=float, default=0.0, help="how far ahead the model is to predict, in s")
     add("--draws", type=int, default=30, help="members of the bootstrap, 0 for no band")
     return parser
