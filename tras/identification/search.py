@@ -223,6 +223,9 @@ def search(
     curved = table[table["dictionary"] != LINEAR_DICTIONARY]
     if np.isfinite(curved["error"]).any():  # few delays may suit a dictionary that is not linear, many a linear one
         leaders.append(best(curved, CLOSE))
+    finest = curved[curved["every"] == min(steps)]
+    if leaders[0]["every"] > min(steps) and np.isfinite(finest["error"]).any():  # the right dictionary needs no average
+        leaders.append(best(finest, CLOSE))
     settings = [(row["states"], *(int(row[key]) for key in ("every", "delays", "lead"))) for row in leaders]
     name, q, _, k = settings[0]
     settings = list(dict.fromkeys([*settings, (name, q, tried[q][0], k)]))
