@@ -16,6 +16,7 @@ from conftest import HOSTILE, ROOT
 
 import tras
 from tras.identification import command
+from tras.workflow import results
 from tras.workflow.parameters import ParameterError
 
 PAGE = (ROOT / "docs" / "own_rig.md").read_text()
@@ -267,7 +268,7 @@ def results(folder, recording, *, finished=True):
     """A folder as `make identify` leaves it."""
     folder.mkdir(parents=True)
     (folder / "report.html").touch()
-    (folder / command.LISTING).write_text(f"file\nreport.html\n{command.LISTING}\n")
+    (folder / results.LISTING).write_text(f"file\nreport.html\n{results.LISTING}\n")
     if finished:
         (folder / "identify.json").write_text(json.dumps({"parameters": {"recording": recording}}))
 
