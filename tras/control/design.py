@@ -22,7 +22,7 @@ from tras.workflow.arguments import did_you_mean, number
 
 _OF_MPC = ("horizon", "rate_weights", "rates", "states", "moves", "iterations")
 _OF_LQR = ("input_weights", "state_weights")
-_OF_OBSERVER = ("measured", "noise", "process", "drift")
+_OF_OBSERVER = ("measured", "disturbed", "noise", "process", "drift")
 SETTINGS = ("controller", "weights", "limits", "offset_free", "run", *_OF_MPC, *_OF_LQR, *_OF_OBSERVER)
 RUN = ("reference", "seconds", "disturbance")
 _STEPS = (0.0, 0.3, -0.3)  # half-ranges from the middle: the reference of the predicted run
@@ -68,7 +68,7 @@ def design(model: KoopmanModel, settings: Mapping | None = None) -> Design:
     model
     settings
         ``controller`` ("mpc" or "lqr"), the options of `tras.MPC` or `tras.LQR` by their names, those of the observer
-        (``measured, noise, process, drift``), and ``run`` with ``reference`` (state -> values one after the other),
+        (``measured, disturbed, noise, process, drift``), and ``run`` with ``reference`` (state -> values one after the other),
         ``seconds`` of each and ``disturbance`` (input -> value). See docs/control.md.
 
     Raises
@@ -207,18 +207,15 @@ def _simulate(controller, levels, samples, disturbance):
         rows.append([k * c.dt, getattr(controller, "status", "solved") == "solved", *x, *u, *goal])
         if (k + 1) % samples == 0:
             wanted = (goal - c.x_offset[controller._rows]) / c.x_scale[controller._rows]
-            estimate = z, np.zeros(m)
+            estimate = z, np.zeros(m), np.zeros(len(z))
             if controller.observer is not None:
-                estimate = np.split(controller.observer._state, [len(z)])
+                estimate = controller.observer.estimate
             is_at_rest = np.abs(z - before).max() < _AT_REST
             result = margins(controller, *estimate, wanted) if is_at_rest else "still moving"
             at_rest.append("a limit is active" if result is None else result)
         scaled = (u - c.u_offset) / c.u_scale
         acting = scaled + (disturbance / c.u_scale if k >= len(levels) * samples else 0)
         before, z = z, p.advance(z[:, None], acting[:, None])[:, 0]
-        if c.delayed_inputs:  # the past holds the inputs without what disturbs them
-            past = n * (c.delays + 1)
-            z[past : past + m] = scaled
         if not np.isfinite(z).all() or np.abs(z).max() > 1e3:
             raise ValueError(
                 f"the predicted run leaves the range of the data a thousandfold after {k * c.dt:.4g} s; give smaller "
@@ -266,7 +263,8 @@ def _effective(controller, settings):
     settings["offset_free"] = observer is not None
     if observer is not None:
         settings |= {"measured": list(observer.measured), "noise": _by_name(observer.measured, observer.noise)}
-        settings |= {name: _by_name(c.input_names, getattr(observer, name)) for name in ("process", "drift")}
+        settings |= {"disturbed": list(observer.disturbed), "process": _by_name(c.input_names, observer.process)}
+        settings["drift"] = _by_name(observer.disturbed, observer.drift)
     return {name: value for name, value in settings.items() if value not in (None, {})}
 
 

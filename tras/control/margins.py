@@ -45,15 +45,17 @@ def gain_and_phase(disk: float) -> tuple[float, float, float]:
     return max(2 - disk, 0.0) / (2 + disk), high, float(np.degrees(2 * np.arctan(disk / 2)))
 
 
-def margins(controller, z: np.ndarray, d: np.ndarray, reference: np.ndarray) -> Margins | None:
+def margins(
+    controller, z: np.ndarray, of_inputs: np.ndarray, of_states: np.ndarray, reference: np.ndarray
+) -> Margins | None:
     """Of the loop of a controller, with its observer, and its own model, linearised where they have come to rest.
 
     Parameters
     ----------
     controller : LQR or MPC
         Its ``u`` is the input at rest. It is not changed.
-    z, d : (n',) and (m,) ndarray
-        State and disturbance there, as the controller has them, in scaled channels.
+    z, of_inputs, of_states : (n',), (m,) and (n',) ndarray
+        State there, and what disturbs inputs and states, as the controller has them, in scaled channels.
     reference : (p,) ndarray
         What the followed states should be, in scaled channels.
 
@@ -67,9 +69,9 @@ def margins(controller, z: np.ndarray, d: np.ndarray, reference: np.ndarray) -> 
     low, high = ((controller.limits - c.u_offset[:, None]) / c.u_scale[:, None]).T
     if ((u <= low + 1e-6) | (u >= high - 1e-6)).any():
         return None
-    _, slopes = controller.predictor.advance_with_slopes(z[:, None], (u + d)[:, None])
+    _, slopes = controller.predictor.advance_with_slopes(z[:, None], (u + of_inputs)[:, None])
     plant = slopes[0][:, : len(z)], slopes[0][:, len(z) :]
-    law = _law(controller, plant, _gains(controller, z, d, u, reference))
+    law = _law(controller, plant, _gains(controller, (z, of_inputs, of_states, u), reference))
     if not all(np.isfinite(part).all() for part in (*plant, *law)):
         return None
     disk, of_all = _disk_margins(plant, law)
@@ -79,9 +81,9 @@ def margins(controller, z: np.ndarray, d: np.ndarray, reference: np.ndarray) -> 
     return Margins(radius, disk, of_all, next(unstable, _DELAYS + 1) - 1 if radius < 1 else 0)
 
 
-def _gains(controller, z, d, u, reference):
-    """Derivatives of the input by state, disturbance and last input, by central differences."""
-    point, sizes = np.concatenate([z, d, u]), np.cumsum([len(z), len(d)])
+def _gains(controller, point, reference):
+    """Derivatives of the input by state, disturbances of inputs and states, and last input, by central differences."""
+    sizes, point = np.cumsum([len(part) for part in point[:-1]]), np.concatenate(point)
     columns = []
     for step in _STEP * np.eye(len(point)):
         change = [_input(controller, *np.split(moved, sizes), reference) for moved in (point + step, point - step)]
@@ -89,31 +91,31 @@ def _gains(controller, z, d, u, reference):
     return np.split(np.transpose(columns), sizes, axis=1)
 
 
-def _input(controller, z, d, u, reference):
+def _input(controller, z, of_inputs, of_states, u, reference):
     """The next input from there; the controller is as it was."""
     trial, c = copy.copy(controller), controller.channels
     trial.u = u * c.u_scale + c.u_offset
-    return trial._inputs(z, d, np.atleast_2d(reference))
+    return trial._inputs(z, of_inputs, of_states, np.atleast_2d(reference))
 
 
 def _law(controller, plant, gains):
     """(A, B, C, D) of the controller, linear in small deviations, from the model's state to the input."""
-    by_state, by_disturbance, by_input = gains
+    by_state, by_input_disturbance, by_state_disturbance, by_input = gains
     m, observer = len(by_input), controller.observer
     if observer is None:
         return by_input, by_state, by_input, by_state
     (A, B), count = plant, len(plant[0])
-    F = np.block([[A, B], [np.zeros((m, count)), np.eye(m)]])
-    if observer.channels.delayed_inputs:
-        first = len(observer.channels.state_names) * (observer.channels.delays + 1)
-        F[first : first + m, count:] = 0
-    G = np.vstack([B, np.zeros((m, m))])
+    on_inputs, on_states = observer._on_inputs, observer._on_states
+    d = on_inputs.shape[1]
+    by_disturbance = by_input_disturbance @ on_inputs + by_state_disturbance @ on_states
+    F = np.block([[A, B @ on_inputs + on_states], [np.zeros((d, count)), np.eye(d)]])
+    G = np.vstack([B, np.zeros((d, m))])
     trial, rows, c = copy.copy(observer), observer._rows, controller.channels
     trial._predict((controller.u - c.u_offset) / c.u_scale)
     P = trial.covariance
     gain = np.linalg.solve(P[np.ix_(rows, rows)] + observer._R, P[rows]).T
-    measured = np.eye(count + m)[rows]
-    keep = np.eye(count + m) - gain @ measured
+    measured = np.eye(count + d)[rows]
+    keep = np.eye(count + d) - gain @ measured
     by_estimate = np.hstack([by_state, by_disturbance])
     last = by_estimate @ keep
     A_c = np.block([[keep @ F, keep @ G], [last @ F, last @ G + by_input]])
