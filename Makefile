@@ -17,10 +17,11 @@ ifneq ($(words $(CURDIR)),1)
 $(error the folder "$(CURDIR)" has a blank in its path, which make cannot handle: move the checkout)
 endif
 
-# What `make identify` takes. Only what stands on the command line: TEST, FROM and TIME may be in anybody's environment. It is text, such
+# What `make identify` and `make control` take. Only what stands on the command line: TEST, FROM and TIME may be in anybody's environment. It is text, such
 # as the name of a file: `override` keeps make from reading $(...) in it, here, before anything else could; the shell has it by `export`.
 IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL TEST FROM TO DECIMATE DT RESAMPLE PREDICTOR DELAYS SMOOTHING LEAD EVERY ACTUATORS HORIZON DRAWS
-TYPED := $(foreach name,RECORDING $(IDENTIFY),$(if $(and $(filter command,$(origin $(name))),$(value $(name))),$(name)))
+CONTROL := OUT SETTINGS
+TYPED := $(foreach name,RECORDING MODEL $(sort $(IDENTIFY) $(CONTROL)),$(if $(and $(filter command,$(origin $(name))),$(value $(name))),$(name)))
 $(foreach name,$(TYPED),$(eval override $(name) := $$(value $(name)))$(eval export $(name)))
 
 # The same bits on every run: sums depend on the number of BLAS threads, and on what BLAS and NumPy choose for the processor.
@@ -92,7 +93,7 @@ LOCKED := $(shell cat $(LOCKS) 2>/dev/null | { sha256sum || shasum -a 256; } 2>/
 READY := .venv/.ready-$(LOCKED)
 PY := .venv/bin/python
 
-.PHONY: help setup all stages paper figures docs sweep smoke lint check test verify bless lab lock readme clean distclean bench bench-test identify \
+.PHONY: help setup all stages paper figures docs sweep smoke lint check test verify bless lab lock readme clean distclean bench bench-test identify control \
   example FORCE
 
 # A comment `## GROUP | TIME | TEXT` behind a target puts it into the list; times are those of two cores, with the environment there.
@@ -128,7 +129,11 @@ lower = $(shell printf %s "$(1)" | tr A-Z a-z)
 
 identify: $(READY) ## your rig | 15 s | a model of your own system: make identify RECORDING=log.csv (docs/own_rig.md)
 	@$(if $(filter RECORDING,$(TYPED)),,echo "say which recording: make identify RECORDING=log.csv (make example writes one to try)" >&2; exit 2)
-	@$(PY) -m tras.identification.command $(foreach name,$(filter-out RECORDING,$(TYPED)),--$(call lower,$(name))="$$$(name)") -- "$$RECORDING"
+	@$(PY) -m tras.identification.command $(foreach name,$(filter $(IDENTIFY),$(TYPED)),--$(call lower,$(name))="$$$(name)") -- "$$RECORDING"
+
+control: $(READY) ## your rig | 15 s | a controller from that model: make control MODEL=build/identify/log/model.npz (docs/control.md)
+	@$(if $(filter MODEL,$(TYPED)),,echo "say which model: make control MODEL=build/identify/log/model.npz (make identify writes one)" >&2; exit 2)
+	@$(PY) -m tras.control.command $(foreach name,$(filter $(CONTROL),$(TYPED)),--$(call lower,$(name))="$$$(name)") -- "$$MODEL"
 
 example: $(READY) ## your rig |  | recordings of two simulated systems to try it on, in build/example/
 	@$(PY) -m tras.identification.examples duffing build/example/duffing.csv
