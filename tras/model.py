@@ -370,7 +370,9 @@ class KoopmanModel(Estimator):
         for name, allowed in OPTIONS.items():
             value = getattr(self, name)
             if value not in allowed:
-                raise ValueError(f"{name} is {value!r}; choose one of {', '.join(map(str, allowed))}.")
+                raise ValueError(
+                    f"{name} is {arguments.short(repr(value), 60)}; choose one of {', '.join(map(str, allowed))}."
+                )
         if not isinstance(self.dictionary, Dictionary):
             raise ValueError(f"dictionary is {self.dictionary!r}; give one, for example tras.Monomials(2).")
         arguments.whole_number("delays", self.delays, 0)
@@ -378,7 +380,8 @@ class KoopmanModel(Estimator):
             arguments.number("strength", self.strength, 0, give="'auto' or a number that is not negative")
         if not isinstance(self.stable, (bool, int, float)) or not 0 <= self.stable <= 1:
             raise ValueError(
-                f"stable is {self.stable!r}; give True, False, or a spectral radius of 0 to 1, such as 0.999."
+                f"stable is {arguments.short(repr(self.stable), 60)}; "
+                "give True, False, or a spectral radius of 0 to 1, such as 0.999."
             )
         if self.columns == "states" and self.predictor != "one_step":
             raise ValueError(f"columns='states' needs predictor='one_step', but it is {self.predictor!r}; use 'all'.")

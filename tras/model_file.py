@@ -222,7 +222,7 @@ def _whole(value, low):
 
 
 def _positive(value):
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 < value <= 1e100
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and _LEAST_SCALE <= value <= 1e100
 
 
 def _is_text(word):
@@ -277,9 +277,8 @@ def _unpack(header, place, arrays, channels, depth=0):
     for key, value in _learnt(learnt, place, dictionary, channels).items():
         setattr(dictionary, key, value)
     if hasattr(dictionary, "centres_") and None in (dictionary.seed, dictionary.centres):
-        dictionary.centres = (
-            dictionary.centres_
-        )  # drawn by a Generator, or given: fitted again, the model has the same ones
+        # Drawn by a Generator, or given: fitted again, the model has the same ones.
+        dictionary.centres = dictionary.centres_
         dictionary.seed = 0 if dictionary.seed is None else dictionary.seed
     if dictionary.count() > MAX_FUNCTIONS:
         raise ValueError(f"its dictionary {name} has more than {MAX_FUNCTIONS} functions")
@@ -298,8 +297,9 @@ def _learnt(arrays, place, dictionary, channels):
         raise ValueError(f"it lacks what its dictionary {type(dictionary).__name__} has learnt, or has more")
     for key, value in values.items():
         require_numbers(f"{place}.{key}", value, shapes[key], _LEAST_SCALE if key == "width_" else -1e100)
+    fractional = any(values[key].dtype.kind not in "iu" for key in ("n_states_", "n_inputs_"))
     values = {key: value.item() if value.ndim == 0 else value for key, value in values.items()}
-    if (values["n_states_"], values["n_inputs_"]) != channels:
+    if (values["n_states_"], values["n_inputs_"]) != channels or fractional:
         raise ValueError(f"its dictionary is not of {channels[0]} states and {channels[1]} inputs")
     if "kept_" in values:
         _check_choice(values["kept_"], dictionary, 1 + sum(channels))
@@ -315,7 +315,8 @@ def _check_choice(kept, combination, head):
     if most > MAX_FUNCTIONS:
         raise ValueError(f"its dictionary has {most} functions in its parts, up to {MAX_FUNCTIONS} are read")
     sound = kept.dtype.kind == "i" and len(kept) >= head and (kept[:head] == np.arange(head)).all()
-    if not (sound and (np.diff(kept) > 0).all() and kept[-1] < most):
+    sound = sound and 0 <= kept.min() and kept.max() < most  # before differences, which may overflow
+    if not (sound and (np.diff(kept) > 0).all()):
         raise ValueError("its dictionary chooses functions that its parts do not have")
 
 
