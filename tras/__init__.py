@@ -32,6 +32,10 @@ _ROOMS = {
     "jacobian": "twin_rotor.plant",
     "rest_point": "twin_rotor.plant",
     "simulate_plant": "twin_rotor.plant",
+    "RotorParameters": "twin_rotor.rotor_parameters",
+    "simulate_rotors": "twin_rotor.rotors",
+    "simulate_motor_loop": "twin_rotor.motor_loop",
+    "gusts": "twin_rotor.gusts",
     "multisine": "twin_rotor.excitation",
     "steps": "twin_rotor.excitation",
     "chirp": "twin_rotor.excitation",
@@ -116,12 +120,16 @@ if TYPE_CHECKING:
     from tras.twin_rotor.excitation import chirp as chirp
     from tras.twin_rotor.excitation import multisine as multisine
     from tras.twin_rotor.excitation import steps as steps
+    from tras.twin_rotor.gusts import gusts as gusts
+    from tras.twin_rotor.motor_loop import simulate_motor_loop as simulate_motor_loop
     from tras.twin_rotor.plant import PlantParameters as PlantParameters
     from tras.twin_rotor.plant import PrintedPlant as PrintedPlant
     from tras.twin_rotor.plant import jacobian as jacobian
     from tras.twin_rotor.plant import rest_point as rest_point
     from tras.twin_rotor.plant import simulate_plant as simulate_plant
     from tras.twin_rotor.plant import vector_field as vector_field
+    from tras.twin_rotor.rotor_parameters import RotorParameters as RotorParameters
+    from tras.twin_rotor.rotors import simulate_rotors as simulate_rotors
 
 if not TYPE_CHECKING:  # to an editor every name would exist, and none have a type
     __all__ = [*_ROOMS, "__version__"]

@@ -94,10 +94,10 @@ class LQR(Controller):
         self._target = None
 
     def _inputs(self, z, d, reference):
-        z_s, u_s = self.target(d, reference[0], z)
+        z_s, u_s = self._at_rest(d, reference[0], z)
         return u_s - self._K @ (z - z_s)
 
-    def target(self, d, reference, z):
+    def _at_rest(self, d, reference, z):
         """State and input at rest, in scaled channels, by Newton's method from the last one."""
         count, m, rows = len(z), len(d), self._rows
         state, u = (z.copy(), -d) if self._target is None else self._target

@@ -10,16 +10,17 @@ from tras.control.options import Numbers, per_channel, require_known
 from tras.control.predictors import predictor
 
 _NOISE = 1e-3  # half-ranges: the default of a measurement
-_DRIFT = 0.3  # half-ranges of the inputs: how far a disturbance wanders in a second
+_GUSTS = 0.1  # half-ranges of the inputs: the default of what acts for one sample
+_MEMORY = 100  # samples in which a disturbance is told from that, by default
 _UNKNOWN = 1.0  # half-ranges: the standard deviation of a state that was never measured
 
 
 class Observer:
     """Estimate all states and a disturbance of the inputs from some of the states.
 
-    The disturbance is added to the inputs, ``x+ = f(x, u + d)``, and constant but for a random walk: what a controller
-    needs to be without steady error (G. Pannocchia and J. B. Rawlings, AIChE J. 49, 2003, 426). The filter is the
-    extended Kalman filter of z, which with a model's delays holds earlier samples too, and d.
+    The disturbance is added to the inputs, ``x+ = f(x, u + d + w)``, and constant but for a random walk: what a
+    controller needs to be without steady error (G. Pannocchia and J. B. Rawlings, AIChE J. 49, 2003, 426). The filter
+    is the extended Kalman filter of z, which with a model's delays holds earlier samples too, and d.
 
     Parameters
     ----------
@@ -30,10 +31,13 @@ class Observer:
         Standard deviation of the noise of each of them, in its unit (`tras.noise_level` estimates it). Default: a
         thousandth of the half-range of the data.
     process : float, sequence or mapping, optional
-        Standard deviation of the error of the states over one sample. Default: the residual of the fit.
+        Standard deviation of w, what else acts on each input for one sample, in its unit: the larger, the more a
+        measurement counts and the less the model. Default: a tenth of the half-range. The states have the residual of
+        the fit besides.
     drift : float, sequence or mapping, optional
-        How far the disturbance of each input wanders in a second, standard deviation in the input's unit. Default: 0.3
-        half-ranges of the input. 0 is no disturbance.
+        Standard deviation of the change of the disturbance from sample to sample, in the input's unit. With little
+        noise, ``process / drift`` is the number of samples after which it is known. Default: a hundredth of
+        ``process``. 0: it stays where it is.
 
     Attributes
     ----------
@@ -79,12 +83,13 @@ class Observer:
         n, z, m = len(c.state_names), len(c.z_scale), len(c.input_names)
         scale = c.x_scale[self._rows]
         self.noise = per_channel("noise", noise, self.measured, _NOISE * scale)
-        self.process = per_channel("process", process, c.state_names, self.predictor.accuracy * c.x_scale)
-        self.drift = per_channel("drift", drift, c.input_names, _DRIFT * c.u_scale)
+        self.process = per_channel("process", process, c.input_names, _GUSTS * c.u_scale)
+        self.drift = per_channel("drift", drift, c.input_names, self.process / _MEMORY)
         self._R = np.diag(np.maximum(self.noise / scale, 1e-9) ** 2)
         self._Q = np.zeros((z + m, z + m))
-        self._Q[range(n), range(n)] = (self.process / c.x_scale) ** 2
-        self._Q[range(z, z + m), range(z, z + m)] = (self.drift / c.u_scale) ** 2 * c.dt
+        self._Q[range(n), range(n)] = self.predictor.accuracy**2
+        self._Q[range(z, z + m), range(z, z + m)] = (self.drift / c.u_scale) ** 2
+        self._gusts = (self.process / c.u_scale) ** 2
         self.reset()
 
     def reset(self) -> None:
@@ -136,7 +141,7 @@ class Observer:
         self._state = past
         deviations = np.zeros(count + m)
         deviations[: n * (c.delays + 1)] = np.tile(spread, c.delays + 1)
-        deviations[count:] = self.drift / c.u_scale
+        deviations[count:] = self.drift / c.u_scale * _MEMORY
         self.covariance = np.diag(deviations**2)
 
     def _predict(self, u):
@@ -151,6 +156,8 @@ class Observer:
             F[first : first + len(u), count:] = 0
         self._state = np.concatenate([later[:, 0], d])
         self.covariance = F @ self.covariance @ F.T + self._Q
+        by_input = F[:count, count:]
+        self.covariance[:count, :count] += (by_input * self._gusts) @ by_input.T
 
     def _correct(self, y):
         P, rows = self.covariance, self._rows

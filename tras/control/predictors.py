@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from tras.estimator import Channels
 from tras.model import KoopmanModel
 from tras.predictors import PREDICTORS
-from tras.twin_rotor.plant import STATE_NAMES, STATE_UNITS, TORQUE_NAMES, TORQUE_UNITS, PlantParameters, stepper
+from tras.twin_rotor.closed_loop import Rig, stepper
 
 _STEP = 6e-6  # of central differences, about the cube root of the rounding error: in scaled channels
 _ACCURACY = 1e-6  # half-ranges: what no prediction over one sample is better than, for an observer
@@ -107,7 +107,9 @@ class Identified(Predictor):
         model.require_fitted()
         self.channels = model.channels_
         self.limits = np.stack([model.u_offset_ - model.u_scale_, model.u_offset_ + model.u_scale_], axis=1)
-        self.accuracy = np.maximum(np.asarray(model.residual_)[: len(model.state_names_)], _ACCURACY)
+        first = 0 if model.columns == "states" else 1  # otherwise the constant's residual, zero, comes first
+        residual = np.asarray(model.residual_)[first : first + len(model.state_names_)]
+        self.accuracy = np.maximum(residual, _ACCURACY)
         way = PREDICTORS[model.predictor]
         self._advance, self._advance_with_slopes = way.advance(model), way.advance_with_slopes(model)
 
@@ -217,8 +219,8 @@ class Equations(Predictor):
         return later[:, 0], slopes.transpose(2, 0, 1)
 
 
-def plant(parameters: PlantParameters, dt: float, *, step: float = 0.01) -> Equations:
-    """The twin rotor itself in place of a model: the bound for every model, with the same controller.
+def plant(parameters: Rig, dt: float, *, step: float = 0.01) -> Equations:
+    """The twin rotor itself in place of a model, with or without rotors: the bound for every model, in one controller.
 
     Examples
     --------
@@ -226,10 +228,18 @@ def plant(parameters: PlantParameters, dt: float, *, step: float = 0.01) -> Equa
     >>> plant(tras.PlantParameters(), 0.01).channels.state_names
     ('phi', 'phidot', 'psi', 'psidot')
     """
-    advance = stepper(parameters, dt, step=step, functions=np)
-    limits = [parameters.u_phi_limits, parameters.u_psi_limits]
-    units = {"state_units": STATE_UNITS, "input_units": TORQUE_UNITS}
-    return Equations(lambda x, u: np.stack(advance(tuple(x), tuple(u))), dt, limits, STATE_NAMES, TORQUE_NAMES, **units)
+    p, advance = parameters, stepper(parameters, dt, step=step, functions=np)
+    speeds = getattr(p, "speed_limits", ())
+    return Equations(
+        lambda x, u: np.stack(advance(tuple(x), tuple(u))),
+        dt,
+        p.input_limits,
+        p.state_names,
+        p.input_names,
+        state_units=p.state_units,
+        input_units=p.input_units,
+        state_scale=[1.0] * 4 + [(high - low) / 2 for low, high in speeds],
+    )
 
 
 def predictor(model: Any) -> Predictor:
