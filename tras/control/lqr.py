@@ -104,9 +104,6 @@ class LQR(Controller):
         residual = np.inf
         for _ in range(_ROUNDS):
             later, slopes = self.predictor.advance_with_slopes(state[:, None], (u + d)[:, None])
-            if self.channels.delayed_inputs:  # at rest the past inputs are u, without the disturbance
-                first = len(self.channels.state_names) * (self.channels.delays + 1)
-                later[first : first + m, 0] = u
             missing = np.concatenate([state - later[:, 0], state[rows] - reference])
             slope = np.zeros((count + len(rows), count + m))
             slope[:count] = -slopes[0]

@@ -134,7 +134,7 @@ class MPC(Controller):
         self._of_first = limited[:m]
         scaled = (self.state_limits - c.x_offset[:, None]) / c.x_scale[:, None]
         self._limited = np.flatnonzero(np.isfinite(scaled).any(axis=1))
-        self._state_low, self._state_high = (np.tile(side, self.horizon) for side in scaled[self._limited].T)
+        self._state_low, self._state_high = (np.repeat(side, self.horizon) for side in scaled[self._limited].T)
 
     def reset(self) -> None:
         """Forget everything about the run so far: estimate, plan, last input, failures."""
@@ -239,7 +239,5 @@ def _blocks(moves, horizon):
     for i, length in enumerate(lengths):
         whole_number(f"moves[{i}]", length)
     if sum(lengths) != horizon:
-        raise ValueError(
-            f"moves holds {sum(lengths)} samples together, but the horizon has {horizon}; make them equal."
-        )
+        raise ValueError(f"moves holds {sum(lengths)} samples together but the horizon {horizon}; make them equal.")
     return np.repeat(np.arange(len(lengths)), lengths)

@@ -150,10 +150,6 @@ class Observer:
         later, slopes = self.predictor.advance_with_slopes(z[:, None], (u + d)[:, None])
         F = np.eye(len(self._state))
         F[:count] = slopes[0]
-        if self.channels.delayed_inputs:  # the past holds the inputs without what disturbs them
-            first = len(self.channels.state_names) * (self.channels.delays + 1)
-            later[first : first + len(u), 0] = u
-            F[first : first + len(u), count:] = 0
         self._state = np.concatenate([later[:, 0], d])
         self.covariance = F @ self.covariance @ F.T + self._Q
         by_input = F[:count, count:]

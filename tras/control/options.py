@@ -22,10 +22,10 @@ def per_channel(name, values, channels, default, *, missing=None) -> np.ndarray:
         return default
     values = np.asarray(values)
     if values.ndim == 0:
-        return np.full(len(channels), _number(name, values[()]))
+        return np.full(len(channels), _number(name, values.item()))
     if values.shape != (len(channels),):
         raise ValueError(f"{name} has shape {values.shape}; give {len(channels)} numbers: {', '.join(channels)}.")
-    return np.array([_number(f"{name}[{i}]", value) for i, value in enumerate(values)])
+    return np.array([_number(f"{name}[{i}]", value) for i, value in enumerate(values.tolist())])
 
 
 def pairs(name, values, channels, default) -> np.ndarray:
