@@ -23,7 +23,7 @@ from tras.workflow import page
 
 _LOG = logging.getLogger(__name__)
 _MARKS = (("✓", "reproduced"), ("◐", "named"), ("✗", "not"), ("?", "uncheckable"), ("◑", "named"))
-_SIGNS = dict(zip(claims.VERDICTS, _MARKS))
+_SIGNS = dict(zip(claims.VERDICTS, _MARKS)) | dict(zip(claims.FUTURE, (_MARKS[0], _MARKS[4], _MARKS[2])))
 _LIMITS = {name: limit for name, limit in vars(claims).items() if name.isupper()}  # `claims.NAME` in a page
 _ANEW = "delete it, and make all makes it anew."
 _FIGURE = re.compile(r"^```\{tras-figure\}\n(.*?)^```", re.MULTILINE | re.DOTALL)
