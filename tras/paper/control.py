@@ -44,12 +44,12 @@ SCORES = ("pitch", "yaw", "settling_pitch", "settling_yaw", "steady", "outside",
 class Study:
     """What is tried; times in s, angles in rad, torques in N m.
 
-    ``process`` and ``drift`` are those of `tras.Observer`, with others where there is noise; ``resolution`` is the
-    noise that it expects where there is none, in rad and rad/s. ``skip`` are seconds at the start that no error counts,
-    for the rig starts at rest and most references do not. ``slower`` are factors of the weight on the changes of the
-    torques with which the rivals are tried too. ``changed`` are the parameters that are changed one at a time
-    by ``change`` (%) either way; ``rigs`` have all of them drawn within it. Gusts, the constant torque and the noise
-    are in percent: of half the range of each torque, and of each state's range in the training data.
+    ``resolution`` is the noise that an observer expects where there is none, in rad and rad/s. ``skip`` are seconds at
+    the start that no error counts, for the rig starts at rest and most references do not. ``slower`` are factors of the
+    weight on the changes of the torques with which the rivals are tried too. ``changed`` are the parameters that are
+    changed one at a time by ``change`` (%) either way; ``rigs`` have all of them drawn within it. Gusts, the constant
+    torque and the noise are in percent: of half the range of each torque, and of each state's range in the training
+    data.
     """
 
     sampling_time: float = 0.01
@@ -58,12 +58,8 @@ class Study:
     skip: float = 1.0
     horizon: int = 40
     rate_weight: float = 0.03
-    slower: tuple[float, ...] = (10.0, 100.0)
+    slower: tuple[float, ...] = (10.0, 1000.0)
     input_weight: float = 0.3
-    process: float = 0.05
-    drift: float = 0.002
-    noisy_process: float = 0.002
-    noisy_drift: float = 2e-5
     resolution: float = 1e-3
     fast_frequencies: tuple[float, float] = (3.0, 2.0)
     fast_peaks: tuple[float, float] = (0.6, 1.5)
@@ -169,12 +165,8 @@ def controller(study: Study, models: dict, name: str, *, condition: str = "calm"
         common["offset_free"] = False
     else:
         measured = ("phi", "psi") if condition == "noise, angles only" else STATE_NAMES
-        options = {"noise": study.resolution, "process": study.process, "drift": study.drift}
-        if noise is not None:
-            expected = dict(zip(STATE_NAMES, noise))
-            options = {"noise": {name: expected[name] for name in measured}}
-            options |= {"process": study.noisy_process, "drift": study.noisy_drift}
-        common["observer"] = Observer(model, measured, **options)
+        expected = dict(zip(STATE_NAMES, np.full(4, study.resolution) if noise is None else noise))
+        common["observer"] = Observer(model, measured, noise={name: expected[name] for name in measured})
     if kind is LQR:
         return LQR(model, input_weights=study.input_weight, **common)
     return MPC(model, horizon=study.horizon, rate_weights=slower * study.rate_weight, **common)
