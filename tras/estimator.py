@@ -107,8 +107,11 @@ class Channels:
         """
         recording = join(recording).select(states=self.state_names, inputs=self.input_names)
         if abs(recording.dt - self.dt) > 1e-9 * self.dt:
+            every, remedy = round(self.dt / recording.dt), "resample or fit again"
+            if every > 1 and abs(every * recording.dt - self.dt) <= 1e-9 * self.dt:
+                remedy = f"take recording.decimated({every}{', lead=1' if self.lead else ''})"
             raise ValueError(
-                f"the recording is sampled at {recording.dt:g} s but the model at {self.dt:g} s; resample or fit again."
+                f"the recording is sampled at {recording.dt:g} s but the model at {self.dt:g} s; {remedy}."
             )
         return recording
 

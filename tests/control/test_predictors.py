@@ -97,18 +97,35 @@ def test_a_horizon_along_its_own_plan_is_the_simulation(name, blocks, fitted, tr
     way = true_plant if name == "plant" else predictor(fitted(name))
     n, rng, blocks = len(way.channels.z_scale), np.random.default_rng(1), np.array(blocks)
     z0, moves, d = 0.3 * rng.uniform(-1, 1, n), 0.3 * rng.uniform(-1, 1, (blocks[-1] + 1, 2)), np.array([0.1, -0.05])
+    kick = np.zeros(n)
+    if "lifted" not in name:
+        kick[: len(way.channels.state_names)] = 0.01
     if name.startswith("lifted"):
         u = np.vstack([moves[blocks] + d, [0, 0]])[:, :, None]
         expected = fitted(name).roll_out_scaled(z0[:, None], u)[1:, :, 0]
     else:
         expected, z = [], z0[:, None]
         for move in moves[blocks] + d:
-            z = way.advance(z, move[:, None])
+            z = way.advance(z, move[:, None]) + kick[:, None]
             expected.append(z[:, 0])
     plan = np.vstack([z0, expected[:-1]])[:, :n] if not name.startswith("lifted") else np.zeros((6, n))
-    horizon = way.horizon(z0, plan, moves[blocks], d, blocks)
+    horizon = way.horizon(z0, plan, moves[blocks], d, kick, blocks)
     states = horizon.free + np.einsum("knij,ij->kn", horizon.response, moves)
     assert np.allclose(states, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+
+
+def test_a_kick_of_the_states_goes_on_in_the_lifted_space(fitted):
+    """Added to the states' own functions after each sample, by the recursion itself."""
+    model = fitted("lifted")
+    way, rows = predictor(model), model.dictionary_.coordinates
+    z0, u, kick = np.full(4, 0.1), np.full((5, 2), 0.2), np.array([0.0, 0.02, 0.0, -0.01])
+    horizon = way.horizon(z0, np.zeros((5, 4)), u, np.zeros(2), kick, np.arange(5))
+    s = model.dictionary_.lift(z0[:, None])[:, 0]
+    for k in range(5):
+        s = model.koopman_matrix.T @ s + model.B_ @ u[k]
+        s[rows] += kick
+        states = horizon.free[k] + np.einsum("nij,ij->n", horizon.response[k], u)
+        assert np.allclose(states, s[rows], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("rig", [tras.PlantParameters(), tras.RotorParameters.maker()])

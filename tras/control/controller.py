@@ -21,8 +21,8 @@ class Controller:
         The states that follow the reference, in the order of its columns.
     u : (m,) ndarray or None
         The last input, in physical units.
-    disturbance : (m,) ndarray
-        The estimate of what is added to the inputs, in physical units.
+    disturbance : ndarray
+        What the observer estimates to be added to its ``disturbed`` inputs and states, in physical units.
     """
 
     horizon = 0  # samples of the reference that are looked ahead
@@ -58,7 +58,7 @@ class Controller:
 
     @property
     def disturbance(self) -> np.ndarray:
-        return np.zeros(len(self.limits)) if self.observer is None else self.observer.disturbance
+        return np.empty(0) if self.observer is None else self.observer.disturbance
 
     def __call__(self, x: ArrayLike, reference: ArrayLike) -> np.ndarray:
         """The input to hold until the next sample.
@@ -89,26 +89,27 @@ class Controller:
             )
         if not np.isfinite(reference).all():
             raise ValueError("reference holds NaN or infinity; give finite numbers.")
-        z, d = self._estimate(x)
+        estimate = self._estimate(x)
         wanted = (np.atleast_2d(reference) - c.x_offset[self._rows]) / c.x_scale[self._rows]
-        u = self._inputs(z, d, wanted) * c.u_scale + c.u_offset
+        u = self._inputs(*estimate, wanted) * c.u_scale + c.u_offset
         self.u = np.clip(u, *self.limits.T)
         self._inputs_before.appendleft(self.u)
         return self.u.copy()
 
-    def _inputs(self, z, d, reference):
-        """The inputs in scaled channels from state, disturbance and reference (samples, p)."""
+    def _inputs(self, z, of_inputs, of_states, reference):
+        """The inputs in scaled channels from state, disturbances and reference (samples, p)."""
         raise NotImplementedError
 
     def _estimate(self, x):
-        """State and disturbance in scaled channels."""
+        """State, and what disturbs inputs and states, in scaled channels."""
         c = self.channels
         if self.observer is not None:
             return self.observer.scaled(x, self.u)
         if x.shape != c.x_offset.shape or not np.isfinite(x).all():
             raise ValueError(f"x is {x.tolist()}; give finite numbers: {', '.join(c.state_names)}.")
         self._states.appendleft(x)
-        return self.predictor.start(self._states, self._inputs_before), np.zeros(len(c.u_offset))
+        z = self.predictor.start(self._states, self._inputs_before)
+        return z, np.zeros(len(c.u_offset)), np.zeros(len(z))
 
     def _scaled_limits(self):
         c = self.channels

@@ -18,7 +18,7 @@ class LQR(Controller):
     """``u = u_s - K (x - x_s)``, within the limits: the optimal gain K for the model linearised at a point.
 
     The target (x_s, u_s) is where the model rests with the followed states on the reference and the estimated
-    disturbance on the inputs (G. Pannocchia and J. B. Rawlings, AIChE J. 49, 2003, 426), found by Newton's method on
+    disturbance in place (G. Pannocchia and J. B. Rawlings, AIChE J. 49, 2003, 426), found by Newton's method on
     the nonlinear model.
 
     Parameters
@@ -93,18 +93,18 @@ class LQR(Controller):
         super().reset()
         self._target = None
 
-    def _inputs(self, z, d, reference):
-        z_s, u_s = self._at_rest(d, reference[0], z)
+    def _inputs(self, z, of_inputs, of_states, reference):
+        z_s, u_s = self._at_rest(of_inputs, of_states, reference[0], z)
         return u_s - self._K @ (z - z_s)
 
-    def _at_rest(self, d, reference, z):
+    def _at_rest(self, of_inputs, of_states, reference, z):
         """State and input at rest, in scaled channels, by Newton's method from the last one."""
-        count, m, rows = len(z), len(d), self._rows
-        state, u = (z.copy(), -d) if self._target is None else self._target
+        count, m, rows = len(z), len(of_inputs), self._rows
+        state, u = (z.copy(), -of_inputs) if self._target is None else self._target
         residual = np.inf
         for _ in range(_ROUNDS):
-            later, slopes = self.predictor.advance_with_slopes(state[:, None], (u + d)[:, None])
-            missing = np.concatenate([state - later[:, 0], state[rows] - reference])
+            later, slopes = self.predictor.advance_with_slopes(state[:, None], (u + of_inputs)[:, None])
+            missing = np.concatenate([state - later[:, 0] - of_states, state[rows] - reference])
             slope = np.zeros((count + len(rows), count + m))
             slope[:count] = -slopes[0]
             slope[range(count), range(count)] += 1

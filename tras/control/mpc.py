@@ -12,6 +12,7 @@ from tras.control.qp import Program
 from tras.workflow.arguments import number, whole_number
 
 _RATE_WEIGHT = 1e-3  # of a change of an input by its half-range, where an error of a half-range counts 1
+_ASTRAY = "the predictions run away"
 _FIRST = 10  # rounds at most for the first plan, which has none before it
 
 
@@ -24,8 +25,8 @@ class MPC(Controller):
     sample: one lifting for the whole horizon, exact slopes, and again one program (real-time iteration; M. Diehl, H. G.
     Bock and J. P. Schloeder, SIAM J. Control Optim. 43, 2005, 1714).
 
-    It is without steady error by default: a disturbance of the inputs is estimated and predicted (G. Pannocchia and J.
-    B. Rawlings, AIChE J. 49, 2003, 426), by `tras.Observer` of all states, or by the ``observer`` that it has.
+    It is without steady error by default: a disturbance is estimated and predicted (G. Pannocchia and J. B. Rawlings,
+    AIChE J. 49, 2003, 426), by a `tras.Observer` of all states, or by the ``observer`` that it has.
 
     Parameters
     ----------
@@ -60,7 +61,8 @@ class MPC(Controller):
     Attributes
     ----------
     status : str
-        "solved", or why the last program was not: then the rest of the last plan was used, within the limits.
+        "solved", or why the last program was not: then the rest of the last plan was used, within the limits; without
+        any plan the middle of the limits' and the data's range.
     failures : int
         How often that was.
     plan, states_planned : (horizon, m) and (horizon, n) ndarray
@@ -158,7 +160,7 @@ class MPC(Controller):
         if self._u is None:
             raise ValueError("the controller has no plan yet; call it first.")
 
-    def _inputs(self, z, d, reference):
+    def _inputs(self, z, of_inputs, of_states, reference):
         N = self.horizon
         ahead = reference[np.minimum(np.arange(1, N + 1), len(reference) - 1)]
         first = self._u is None
@@ -169,30 +171,40 @@ class MPC(Controller):
         else:
             before = (self.u - self.channels.u_offset) / self.channels.u_scale
             u, states = np.vstack([self._u[1:], self._u[-1:]]), self._z[1:]
+        later = None
         for _ in range(_FIRST if first else self.iterations):
-            horizon = self.predictor.horizon(z, states, u, d, self._blocks)
+            horizon = self._horizon(z, states, u, of_inputs, of_states)
+            if horizon is None:
+                self.status = _ASTRAY
+                break
             solution = self._solve(horizon, ahead, before)
+            self.status = solution.status
             if solution.v is None:
                 break
-            moves = solution.v.reshape(-1, u.shape[1])
+            moves = solution.v.reshape(-1, u.shape[1])[self._blocks]
+            settled = first and np.abs(moves - u).max() < 1e-6
             later = horizon.free + horizon.response.reshape(*horizon.free.shape, -1) @ solution.v
-            settled = first and np.abs(moves[self._blocks] - u).max() < 1e-6
-            u, states = moves[self._blocks], np.vstack([z, later[:-1]])
-            if settled or horizon.last is None:
+            u, states = moves, np.vstack([z, later[:-1]])
+            if settled or not self.predictor.follows_plan:
                 break
-        self.status = solution.status
-        if solution.v is None:
+            if first:  # far from any plan its states are simulated, which keeps them where the model is sound
+                states = self.predictor.simulate(z, (u + of_inputs)[:-1], of_states)
+        if later is None:  # nothing was solved: the rest of the last plan, and states to begin anew with
             self.failures += 1
-            later = horizon.free + horizon.response.reshape(*horizon.free.shape, -1) @ self._first_moves(u)
-            states = np.vstack([z, later[:-1]])
+            later = states = np.tile(z, (N, 1))
         self._u = u
         # States from now on, with one more behind the horizon: the plan of the next sample begins one later.
         self._z = np.vstack([states, later[-1:]])
         return u[0]
 
-    def _first_moves(self, u):
-        starts = np.flatnonzero(np.diff(self._blocks, prepend=-1))
-        return u[starts].ravel()
+    def _horizon(self, z, states, u, *disturbances):
+        """The linear predictions, or None where the plan has gone where the model has no finite ones."""
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                horizon = self.predictor.horizon(z, states, u, *disturbances, self._blocks)
+        except (ValueError, ArithmeticError):  # so `tras.twin_rotor` says that it cannot go on
+            return None
+        return horizon if np.isfinite(horizon.free).all() and np.isfinite(horizon.response).all() else None
 
     def _solve(self, horizon, reference, before):
         N, rows = self.horizon, self._rows

@@ -18,32 +18,36 @@ _UNKNOWN = 1.0  # half-ranges: the standard deviation of a state that was never 
 class Observer:
     """Estimate all states and a disturbance of the inputs from some of the states.
 
-    The disturbance is added to the inputs, ``x+ = f(x, u + d + w)``, and constant but for a random walk: what a
-    controller needs to be without steady error (G. Pannocchia and J. B. Rawlings, AIChE J. 49, 2003, 426). The filter
-    is the extended Kalman filter of z, which with a model's delays holds earlier samples too, and d.
+    The disturbance d is added to inputs, or to states after each sample, and constant but for a random walk: what a
+    controller needs to be without steady error (G. Pannocchia and J. B. Rawlings, AIChE J. 49, 2003, 426). As many
+    disturbances as measurements are enough for any constant error of the model. The filter is the extended Kalman
+    filter of z, which with a model's delays holds earlier samples too, and d.
 
     Parameters
     ----------
     model : KoopmanModel or tras.control.predictors.Predictor
     measured : sequence of str, optional
         Names of the states that are measured; default all.
+    disturbed : sequence of str, optional
+        Names of the inputs or states that a disturbance is added to. Default: all states if all are measured, otherwise
+        the inputs. ``[]``: there is none.
     noise : float, sequence or mapping, optional
         Standard deviation of the noise of each of them, in its unit (`tras.noise_level` estimates it). Default: a
         thousandth of the half-range of the data.
     process : float, sequence or mapping, optional
-        Standard deviation of w, what else acts on each input for one sample, in its unit: the larger, the more a
+        Standard deviation of what else acts on each input for one sample, in its unit: the larger, the more a
         measurement counts and the less the model. Default: a tenth of the half-range. The states have the residual of
-        the fit besides.
+        the fit besides, and those that are disturbed at least a thousandth of their half-range.
     drift : float, sequence or mapping, optional
-        Standard deviation of the change of the disturbance from sample to sample, in the input's unit. With little
-        noise, ``process / drift`` is the number of samples after which it is known. Default: a hundredth of
-        ``process``. 0: it stays where it is.
+        Standard deviation of the change of each disturbance from sample to sample, in the unit of its input or state.
+        Default: a hundredth of what else acts there, so that with little noise it is known after 100 samples. 0: it
+        stays where it is.
 
     Attributes
     ----------
-    disturbance : (m,) ndarray
-        Its estimate, in the inputs' units.
-    covariance : (n' + m, n' + m) ndarray
+    disturbance : (disturbed,) ndarray
+        Its estimate, in the units of these inputs or states.
+    covariance : (n' + disturbed, n' + disturbed) ndarray
         Of the estimate's error, in scaled channels.
 
     Raises
@@ -68,6 +72,7 @@ class Observer:
         model: Any,
         measured: Sequence[str] | None = None,
         *,
+        disturbed: Sequence[str] | None = None,
         noise: Numbers | None = None,
         process: Numbers | None = None,
         drift: Numbers | None = None,
@@ -80,17 +85,40 @@ class Observer:
         if len(set(self.measured)) < len(self.measured) or not self.measured:
             raise ValueError(f"measured is {list(self.measured)}; name one state or more, each once.")
         self._rows = np.array([c.state_names.index(name) for name in self.measured])
-        n, z, m = len(c.state_names), len(c.z_scale), len(c.input_names)
-        scale = c.x_scale[self._rows]
-        self.noise = per_channel("noise", noise, self.measured, _NOISE * scale)
+        self._place_disturbances(disturbed)
+        n, count, m = len(c.state_names), len(c.z_scale), len(c.input_names)
+        size = count + len(self.disturbed)
+        self.noise = per_channel("noise", noise, self.measured, _NOISE * c.x_scale[self._rows])
         self.process = per_channel("process", process, c.input_names, _GUSTS * c.u_scale)
-        self.drift = per_channel("drift", drift, c.input_names, self.process / _MEMORY)
-        self._R = np.diag(np.maximum(self.noise / scale, 1e-9) ** 2)
-        self._Q = np.zeros((z + m, z + m))
-        self._Q[range(n), range(n)] = self.predictor.accuracy**2
-        self._Q[range(z, z + m), range(z, z + m)] = (self.drift / c.u_scale) ** 2
-        self._gusts = (self.process / c.u_scale) ** 2
+        self._gusts = self.process / c.u_scale
+        _, slopes = self.predictor.advance_with_slopes(np.zeros((count, 1)), np.zeros((m, 1)))
+        white = np.sqrt(slopes[0, :n, count:] ** 2 @ self._gusts**2)  # of each state, in the middle of the data
+        of_states = np.where(self._on_states[:n].any(axis=1), np.maximum(white, _NOISE), 0)
+        acting = self._on_inputs.T @ self._gusts + self._on_states[:n].T @ of_states
+        self.drift = per_channel("drift", drift, self.disturbed, acting / _MEMORY * self._disturbance_scale)
+        self._R = np.diag(np.maximum(self.noise / c.x_scale[self._rows], 1e-9) ** 2)
+        self._Q = np.zeros((size, size))
+        self._Q[range(n), range(n)] = self.predictor.accuracy**2 + np.where(of_states > white, of_states, 0) ** 2
+        self._Q[range(count, size), range(count, size)] = (self.drift / self._disturbance_scale) ** 2
         self.reset()
+
+    def _place_disturbances(self, names):
+        """Matrices that add the disturbances to inputs (m, disturbed) and to states (n', disturbed)."""
+        c = self.channels
+        if names is None:
+            names = c.state_names if set(self.measured) == set(c.state_names) else c.input_names
+        self.disturbed = tuple(names)
+        for name in self.disturbed:
+            require_known("disturbed", name, c.input_names + c.state_names)
+        self._on_inputs = np.zeros((len(c.input_names), len(self.disturbed)))
+        self._on_states = np.zeros((len(c.z_scale), len(self.disturbed)))
+        self._disturbance_scale = np.empty(len(self.disturbed))
+        for j, name in enumerate(self.disturbed):
+            place, scale, names = self._on_inputs, c.u_scale, c.input_names
+            if name not in names:
+                place, scale, names = self._on_states, c.x_scale, c.state_names
+            i = names.index(name)
+            place[i, j], self._disturbance_scale[j] = 1, scale[i]
 
     def reset(self) -> None:
         """Forget everything: the next measurement is the first one."""
@@ -98,8 +126,8 @@ class Observer:
 
     @property
     def disturbance(self) -> np.ndarray:
-        c = self.channels
-        return np.zeros(len(c.u_scale)) if self._state is None else self._state[len(c.z_scale) :] * c.u_scale
+        estimate = np.zeros(len(self.disturbed)) if self._state is None else self._state[len(self.channels.z_scale) :]
+        return estimate * self._disturbance_scale
 
     def update(self, y: ArrayLike, u: ArrayLike | None) -> np.ndarray:
         """The present states (n,) from a measurement now and the input that was held since the last one.
@@ -111,13 +139,13 @@ class Observer:
         u : (m,) array_like or None
             None at the first measurement.
         """
-        z, _ = self.scaled(np.asarray(y, dtype=float), u)
+        z, _, _ = self.scaled(np.asarray(y, dtype=float), u)
         c = self.channels
         return z[: len(c.x_scale)] * c.x_scale + c.x_offset
 
-    def scaled(self, y: np.ndarray, u: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:
-        """The same in scaled channels: z (n',) and the disturbance (m,)."""
-        c, count = self.channels, len(self.channels.z_scale)
+    def scaled(self, y: np.ndarray, u: ArrayLike | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same in scaled channels: z (n',), and what disturbs the inputs (m,) and the states (n',)."""
+        c = self.channels
         if y.shape == c.x_scale.shape:
             y = y[self._rows]
         if y.shape != self._rows.shape or not np.isfinite(y).all():
@@ -128,32 +156,38 @@ class Observer:
         else:
             self._predict((np.asarray(u, dtype=float) - c.u_offset) / c.u_scale)
             self._correct(y)
-        return self._state[:count], self._state[count:]
+        return self.estimate
+
+    @property
+    def estimate(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """State, and what disturbs the inputs and the states, in scaled channels."""
+        count = len(self.channels.z_scale)
+        d = self._state[count:]
+        return self._state[:count], self._on_inputs @ d, self._on_states @ d
 
     def _begin(self, y):
         """Nothing is known but y, and it was so before."""
         c = self.channels
-        n, count, m = len(c.x_scale), len(c.z_scale), len(c.u_scale)
+        n, count, size = len(c.x_scale), len(c.z_scale), len(self._Q)
         present, spread = np.zeros(n), np.full(n, _UNKNOWN)
         present[self._rows], spread[self._rows] = y, np.sqrt(np.diag(self._R))
-        past = np.zeros(count + m)
-        past[: n * (c.delays + 1)] = np.tile(present, c.delays + 1)
-        self._state = past
-        deviations = np.zeros(count + m)
-        deviations[: n * (c.delays + 1)] = np.tile(spread, c.delays + 1)
-        deviations[count:] = self.drift / c.u_scale * _MEMORY
+        states = n * (c.delays + 1)
+        self._state, deviations = np.zeros(size), np.zeros(size)
+        self._state[:states], deviations[:states] = np.tile(present, c.delays + 1), np.tile(spread, c.delays + 1)
+        deviations[count:] = self.drift / self._disturbance_scale * _MEMORY
         self.covariance = np.diag(deviations**2)
 
     def _predict(self, u):
         count = len(self.channels.z_scale)
         z, d = self._state[:count], self._state[count:]
-        later, slopes = self.predictor.advance_with_slopes(z[:, None], (u + d)[:, None])
+        later, slopes = self.predictor.advance_with_slopes(z[:, None], (u + self._on_inputs @ d)[:, None])
+        A, B = slopes[0, :, :count], slopes[0, :, count:]
         F = np.eye(len(self._state))
-        F[:count] = slopes[0]
-        self._state = np.concatenate([later[:, 0], d])
+        F[:count, :count], F[:count, count:] = A, B @ self._on_inputs + self._on_states
+        self._state = np.concatenate([later[:, 0] + self._on_states @ d, d])
         self.covariance = F @ self.covariance @ F.T + self._Q
-        by_input = F[:count, count:]
-        self.covariance[:count, :count] += (by_input * self._gusts) @ by_input.T
+        gusts = B * self._gusts
+        self.covariance[:count, :count] += gusts @ gusts.T
 
     def _correct(self, y):
         P, rows = self.covariance, self._rows

@@ -24,15 +24,10 @@ _ACCURACY = 1e-6  # half-ranges: what no prediction over one sample is better th
 
 
 class Horizon(NamedTuple):
-    """States ``free + response @ moves`` at the next samples, (N, n'), and what follows the last of them.
-
-    ``free`` is (N, n'), ``response`` (N, n', moves, m). ``last`` is (A, B, c) of the last sample, ``z+ = A z + B u +
-    c``, or None where the plan of the states has no effect.
-    """
+    """States ``free + response @ moves`` at the next samples: ``free`` (N, n'), ``response`` (N, n', moves, m)."""
 
     free: np.ndarray
     response: np.ndarray
-    last: tuple[np.ndarray, np.ndarray, np.ndarray] | None
 
 
 class Predictor:
@@ -52,6 +47,7 @@ class Predictor:
     channels: Channels
     limits: np.ndarray
     accuracy: np.ndarray
+    follows_plan = True  # whether the horizon depends on the plan along which it is linearised
 
     def advance(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
         """States one sample later: (n', points), (m, points) -> (n', points)."""
@@ -61,7 +57,15 @@ class Predictor:
         """The same, and the derivatives by state and input (points, n', n' + m)."""
         raise NotImplementedError
 
-    def horizon(self, z0: np.ndarray, z: np.ndarray, u: np.ndarray, d: np.ndarray, blocks: np.ndarray) -> Horizon:
+    def horizon(
+        self,
+        z0: np.ndarray,
+        z: np.ndarray,
+        u: np.ndarray,
+        of_inputs: np.ndarray,
+        of_states: np.ndarray,
+        blocks: np.ndarray,
+    ) -> Horizon:
         """The states from ``z0`` on, linear in the moves: linearised along a plan, one lifting for all of it.
 
         Parameters
@@ -69,15 +73,15 @@ class Predictor:
         z0 : (n',) ndarray
         z, u : (N, n') and (N, m) ndarray
             The plan: states from now on, and inputs. They need not fit each other.
-        d : (m,) ndarray
-            Disturbance that is added to every input.
+        of_inputs, of_states : (m,) and (n',) ndarray
+            Disturbances that are added to every input, and to the states after every sample.
         blocks : (N,) ndarray of int
             Number of the move that acts at each sample.
         """
-        later, slopes = self.advance_with_slopes(z.T, (u + d).T)
+        later, slopes = self.advance_with_slopes(z.T, (u + of_inputs).T)
         N, n, m = len(z), len(z0), u.shape[1]
         A, B = np.ascontiguousarray(slopes[:, :, :n]), np.ascontiguousarray(slopes[:, :, n:])
-        c = later.T - (A @ z[:, :, None])[:, :, 0] - (B @ u[:, :, None])[:, :, 0]
+        c = later.T + of_states - (A @ z[:, :, None])[:, :, 0] - (B @ u[:, :, None])[:, :, 0]
         moves = blocks[-1] + 1
         free, response = np.empty((N, n)), np.empty((N, n, moves, m))
         state, by_moves = z0, np.zeros((n, moves * m))
@@ -86,7 +90,14 @@ class Predictor:
             by_moves = A[k] @ by_moves
             by_moves[:, move * m : (move + 1) * m] += B[k]
             free[k], response[k] = state, by_moves.reshape(n, moves, m)
-        return Horizon(free, response, (A[-1], B[-1], c[-1]))
+        return Horizon(free, response)
+
+    def simulate(self, z0: np.ndarray, u: np.ndarray, of_states: np.ndarray) -> np.ndarray:
+        """States from ``z0`` (n',) on under inputs (N, m), ``of_states`` added after each sample: (N + 1, n')."""
+        states = [z0[:, None]]
+        for held in u:
+            states.append(self.advance(states[-1], held[:, None]) + of_states[:, None])
+        return np.concatenate(states, axis=1).T
 
     def start(self, states: Sequence[np.ndarray], inputs: Sequence[np.ndarray]) -> np.ndarray:
         """z (n',) from states and inputs in physical units, newest first; what is not known yet was as the oldest."""
@@ -127,30 +138,34 @@ class Lifted(Identified):
     M. Korda and I. Mezic, Automatica 93 (2018) 149. What does not depend on the state is made once.
     """
 
+    follows_plan = False
+
     def __init__(self, model: KoopmanModel):
         super().__init__(model)
         self._A, self._B, self._lift = model.koopman_matrix.T, model.B_, model.dictionary_.lift
         self._rows, self._made = model.dictionary_.coordinates, None
 
-    def horizon(self, z0, z, u, d, blocks):
+    def horizon(self, z0, z, u, of_inputs, of_states, blocks):
         if self._made is None or not np.array_equal(self._made[0], blocks):
             self._made = (blocks.copy(), *self._matrices(blocks))
-        _, by_lifting, by_constant, response = self._made
-        return Horizon(by_lifting @ self._lift(z0[:, None])[:, 0] + by_constant @ d, response, None)
+        _, by_lifting, by_inputs, by_states, response = self._made
+        free = by_lifting @ self._lift(z0[:, None])[:, 0] + by_inputs @ of_inputs + by_states @ of_states
+        return Horizon(free, response)
 
     def _matrices(self, blocks):
-        """``C A^k`` (N, n', N'), the sum of ``C A^i B`` (N, n', m), and the response to the moves."""
+        """``C A^k`` (N, n', N'), sums of ``C A^i B`` (N, n', m) and ``C A^i C'`` (N, n', n'), the response to moves."""
         rows, m, N = self._rows, self._B.shape[1], len(blocks)
         by_lifting, impulses = np.empty((N, len(rows), len(self._A))), np.empty((N, len(rows), m))
+        kicks = np.empty((N, len(rows), len(rows)))
         power = np.eye(len(self._A))[rows]
         for k in range(N):
-            impulses[k] = power @ self._B
+            impulses[k], kicks[k] = power @ self._B, power[:, rows]
             power = power @ self._A
             by_lifting[k] = power
         response = np.zeros((N, len(rows), blocks[-1] + 1, m))
         for j, move in enumerate(blocks):
             response[j:, :, move] += impulses[: N - j]
-        return by_lifting, np.cumsum(impulses, axis=0), response
+        return by_lifting, np.cumsum(impulses, axis=0), np.cumsum(kicks, axis=0), response
 
 
 class Equations(Predictor):
@@ -229,10 +244,16 @@ def plant(parameters: Rig, dt: float, *, step: float = 0.01) -> Equations:
     >>> plant(tras.PlantParameters(), 0.01).channels.state_names
     ('phi', 'phidot', 'psi', 'psidot')
     """
-    p, advance = parameters, stepper(parameters, dt, step=step, functions=np)
+    p, flow = parameters, stepper(parameters, dt, step=step, functions=np)
     speeds = getattr(p, "speed_limits", ())
+
+    def advance(x, u):
+        # A plan may hold speeds that no command gives; the rotors' polynomials mean nothing there.
+        rotors = (np.clip(speed, *ends) for speed, ends in zip(x[4:], speeds))
+        return np.stack(flow((*x[:4], *rotors), tuple(u)))
+
     return Equations(
-        lambda x, u: np.stack(advance(tuple(x), tuple(u))),
+        advance,
         dt,
         p.input_limits,
         p.state_names,
