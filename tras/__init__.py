@@ -8,7 +8,7 @@ Start here:
     train, test = log.cut(101).split(0.8, 0)      # trajectories of 101 samples, four fifths of them to fit
     model, tried = tras.choose(train)             # or tras.KoopmanModel(tras.Monomials(2)).fit(train)
     print(model.report(test))                     # conditioning, stability, errors of predictions
-    tras.compare(test, model)                     # measured against simulated, the fit in percent
+    tras.compare(test, model)                     # measured against simulated: figure and table
     model.plot_spectrum()                         # eigenvalues beside the unit circle
     states = model.simulate(log.states[0][0], log.inputs[0])
     model.save("model.npz")                       # tras.load_model reads it
@@ -32,6 +32,10 @@ _ROOMS = {
     "jacobian": "twin_rotor.plant",
     "rest_point": "twin_rotor.plant",
     "simulate_plant": "twin_rotor.plant",
+    "RotorParameters": "twin_rotor.rotor_parameters",
+    "simulate_rotors": "twin_rotor.rotors",
+    "simulate_motor_loop": "twin_rotor.motor_loop",
+    "gusts": "twin_rotor.gusts",
     "multisine": "twin_rotor.excitation",
     "steps": "twin_rotor.excitation",
     "chirp": "twin_rotor.excitation",
@@ -40,6 +44,9 @@ _ROOMS = {
     "remarks": "io.formats",
     "example": "identification.examples",
     "PID": "twin_rotor.closed_loop",
+    "LQR": "control.lqr",
+    "MPC": "control.mpc",
+    "Observer": "control.observer",
     "simulate_closed_loop": "twin_rotor.closed_loop",
     "simulate_closed_loops": "twin_rotor.closed_loop",
     "Monomials": "dictionaries.monomials",
@@ -65,7 +72,6 @@ _ROOMS = {
     "parameter_intervals": "paper.physics",
     "load_model": "model",
     "compare": "display.plots",
-    "compare_table": "display.plots",
     "metrics": "metrics",
     "export": "export",
     "open_recording": "large.slices",
@@ -75,6 +81,9 @@ _ROOMS = {
 if TYPE_CHECKING:
     from tras import export as export
     from tras import metrics as metrics
+    from tras.control.lqr import LQR as LQR
+    from tras.control.mpc import MPC as MPC
+    from tras.control.observer import Observer as Observer
     from tras.dictionaries.combinations import Product as Product
     from tras.dictionaries.combinations import Union as Union
     from tras.dictionaries.mechanical import Mechanical as Mechanical
@@ -84,7 +93,6 @@ if TYPE_CHECKING:
     from tras.dictionaries.waves import Exponentials as Exponentials
     from tras.dictionaries.waves import Fourier as Fourier
     from tras.display.plots import compare as compare
-    from tras.display.plots import compare_table as compare_table
     from tras.identification.bootstrap import bootstrap as bootstrap
     from tras.identification.bootstrap import prediction_band as prediction_band
     from tras.identification.examples import example as example
@@ -110,12 +118,16 @@ if TYPE_CHECKING:
     from tras.twin_rotor.excitation import chirp as chirp
     from tras.twin_rotor.excitation import multisine as multisine
     from tras.twin_rotor.excitation import steps as steps
+    from tras.twin_rotor.gusts import gusts as gusts
+    from tras.twin_rotor.motor_loop import simulate_motor_loop as simulate_motor_loop
     from tras.twin_rotor.plant import PlantParameters as PlantParameters
     from tras.twin_rotor.plant import PrintedPlant as PrintedPlant
     from tras.twin_rotor.plant import jacobian as jacobian
     from tras.twin_rotor.plant import rest_point as rest_point
     from tras.twin_rotor.plant import simulate_plant as simulate_plant
     from tras.twin_rotor.plant import vector_field as vector_field
+    from tras.twin_rotor.rotor_parameters import RotorParameters as RotorParameters
+    from tras.twin_rotor.rotors import simulate_rotors as simulate_rotors
 
 if not TYPE_CHECKING:  # to an editor every name would exist, and none have a type
     __all__ = [*_ROOMS, "__version__"]

@@ -87,6 +87,11 @@ class Channels:
     def z_scale(self) -> np.ndarray:
         return self._over_delays(self.x_scale, self.u_scale)
 
+    @property
+    def origin(self) -> np.ndarray:
+        """Where the zeros of all channels (n' + m,) lie in their scaled values."""
+        return np.concatenate([-self.z_offset / self.z_scale, -self.u_offset / self.u_scale])
+
     def _over_delays(self, of_states, of_inputs):
         return np.concatenate(
             [np.tile(of_states, self.delays + 1), np.tile(of_inputs, self.delays * self.delayed_inputs)]
@@ -102,8 +107,11 @@ class Channels:
         """
         recording = join(recording).select(states=self.state_names, inputs=self.input_names)
         if abs(recording.dt - self.dt) > 1e-9 * self.dt:
+            every, remedy = round(self.dt / recording.dt), "resample or fit again"
+            if every > 1 and abs(every * recording.dt - self.dt) <= 1e-9 * self.dt:
+                remedy = f"take recording.decimated({every}{', lead=1' if self.lead else ''})"
             raise ValueError(
-                f"the recording is sampled at {recording.dt:g} s but the model at {self.dt:g} s; resample or fit again."
+                f"the recording is sampled at {recording.dt:g} s but the model at {self.dt:g} s; {remedy}."
             )
         return recording
 
@@ -235,7 +243,7 @@ class Estimator(BaseEstimator):
         """
         from tras.display import plots
 
-        return plots.compare(recording, self, trajectory=trajectory, ax=ax)
+        return plots.one_run(recording, self, trajectory, ax)
 
     def residuals(
         self, recording: Recording, *, steps: int = 1, lags: int = 25, significance: float = 0.01

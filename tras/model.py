@@ -23,7 +23,7 @@ from tras.metrics import multi_step_error
 from tras.predictors import PREDICTORS, Map
 from tras.recording import Recording
 from tras.regularization import METHODS, ROUNDS, STRENGTHS, unsettled
-from tras.solver.threads import one_blas_thread
+from tras.solver.threads import few_blas_threads, one_blas_thread
 from tras.workflow import arguments
 
 if TYPE_CHECKING:
@@ -316,6 +316,10 @@ class KoopmanModel(Estimator):
         states are the model's, delayed samples of states and inputs behind them. A ``lifted_linear`` model is linear
         everywhere: its states are the liftings but the constant, and the point has no effect.
 
+        With ``lead=1`` a state depends on the input of its own instant: D is not zero, and the system's state is z less
+        what this input has moved, ``dz[k] - B du[k]``. A controller that feeds ``x[k]`` back to ``u[k]`` without a
+        delay then closes an algebraic loop, which `control.feedback` solves.
+
         Parameters
         ----------
         x : (n,) or (n',) array_like, optional
@@ -443,7 +447,8 @@ class KoopmanModel(Estimator):
         past = [u[:, :d][:, ::-1].reshape(len(u), -1)] if self.channels_.delayed_inputs else []
         z = np.concatenate([x[:, ::-1].reshape(len(x), -1), *past], axis=1)
         z, u = np.ascontiguousarray(z), np.ascontiguousarray(u[:, d:])  # the layout decides the last bits of products
-        states = self.roll_out_scaled(z.T, u.transpose(1, 2, 0))
+        with few_blas_threads(len(self.names_)):
+            states = self.roll_out_scaled(z.T, u.transpose(1, 2, 0))
         return np.concatenate([x[:, :d], states[:, : len(self.state_names_)].transpose(2, 0, 1)], axis=1)
 
 

@@ -87,6 +87,13 @@ def test_make_hands_none_of_it_on(hostile):
     assert not (set(hostile) | set(odd)) - own & set(inside)
 
 
+def test_what_is_said_to_make_itself_stays():
+    """``make OPENBLAS_CORETYPE=Haswell verify`` is how to verify with the kernels for another processor."""
+    show = ["make", "--no-print-directory", "--eval=show-environment: ; @env", "show-environment"]
+    done = subprocess.run([*show, "OPENBLAS_CORETYPE=Haswell"], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert "OPENBLAS_CORETYPE=Haswell" in done.stdout.splitlines()
+
+
 def test_the_package_of_another_checkout_is_refused(tmp_path, capsys):
     other = tmp_path / "other"
     (other / "tras").mkdir(parents=True)

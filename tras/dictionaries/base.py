@@ -32,17 +32,22 @@ class Dictionary(BaseEstimator):
         Writes them into ``psi[head:]``; ``psi`` is (N, points), its head (constant, states, inputs) is there already.
         Several threads may call it at once, for strips of points.
     ``_fill_slopes(slopes, psi, z)``
-        Writes their derivatives by the states into ``slopes[head:]``, (N, n, points), zero so far.
+        Writes their derivatives by the first channels into ``slopes[head:]``, zero so far: by the states, (N, n,
+        points), or by the inputs too, (N, n + m, points).
     ``_tail_names(channels)``
         Names them.
     """
 
-    def fit(self, x: ArrayLike, u: ArrayLike | None = None) -> "Dictionary":
-        """Learn what the dictionary needs (the number of channels; centres) from samples (..., n) and (..., m)."""
+    def fit(self, x: ArrayLike, u: ArrayLike | None = None, origin: ArrayLike | None = None) -> "Dictionary":
+        """Learn what the dictionary needs (the number of channels; centres) from samples (..., n) and (..., m).
+
+        ``origin`` (n + m,) says where the zeros of the channels lie in their scaled values; 0 by default.
+        """
         x, u = _samples(x, u)
         for name in [name for name in vars(self) if name.endswith("_")]:
             delattr(self, name)  # what an earlier fit learnt
         self.n_states_, self.n_inputs_ = x.shape[-1], u.shape[-1]
+        self._origin = np.zeros(x.shape[-1] + u.shape[-1]) if origin is None else np.asarray(origin, dtype=float)
         self._learn(_columns(x, u))
         return self.restore()
 
@@ -77,10 +82,14 @@ class Dictionary(BaseEstimator):
         """The same as `jacobian`, for points in columns: (n + m, points) -> (N, n, points)."""
         return self.lift_with_slopes(z)[1]
 
-    def lift_with_slopes(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`lift` and `lift_slopes` of the same points at once: most slopes are made of the functions' values."""
-        psi, slopes = self.lift(z), np.zeros((self.size, self.n_states_, z.shape[1]))
-        slopes[self.coordinates, np.arange(self.n_states_)] = 1
+    def lift_with_slopes(self, z: np.ndarray, *, inputs: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """`lift` and `lift_slopes` of the same points at once: most slopes are made of the functions' values.
+
+        With ``inputs`` the slopes by the inputs follow those by the states: (N, n + m, points).
+        """
+        channels = len(z) if inputs else self.n_states_
+        psi, slopes = self.lift(z), np.zeros((self.size, channels, z.shape[1]))
+        slopes[1 + np.arange(channels), np.arange(channels)] = 1
         self._fill_slopes(slopes, psi, z)
         return psi, slopes
 

@@ -27,7 +27,7 @@ class _Combination(Dictionary):
                 f"parts is {self.parts!r}; give dictionaries, for example Union(Monomials(2), GaussianRBF(10))."
             )
         x, u = z[: self.n_states_].T, z[self.n_states_ :].T
-        self.parts_ = [clone(part).fit(x, u) for part in self.parts]
+        self.parts_ = [clone(part).fit(x, u, self._origin) for part in self.parts]
         # Functions that two parts share must not come twice: they are recognised by their values at random points.
         points = np.random.default_rng(0).uniform(-1, 1, (len(z), 7))
         fingerprints, indices = set(), []
@@ -56,7 +56,7 @@ class _Combination(Dictionary):
 
     def _fill_slopes(self, slopes, psi, z):
         head = 1 + len(z)
-        slopes[head:] = self._all_slopes(z)[self.kept_[head:]]
+        slopes[head:] = self._all_slopes(z, slopes.shape[1] > self.n_states_)[self.kept_[head:]]
 
     def _tail_names(self, channels):
         names = self._all_names(channels)
@@ -79,8 +79,8 @@ class Union(_Combination):
     def _all(self, z):
         return np.concatenate([part.lift(z) for part in self.parts_])
 
-    def _all_slopes(self, z):
-        return np.concatenate([part.lift_slopes(z) for part in self.parts_])
+    def _all_slopes(self, z, inputs):
+        return np.concatenate([part.lift_with_slopes(z, inputs=inputs)[1] for part in self.parts_])
 
     def _all_names(self, channels):
         return [name for part in self.parts_ for name in part.feature_names(channels)]
@@ -110,8 +110,8 @@ class Product(_Combination):
         a, b = (part.lift(z) for part in self.parts_)
         return (b[:, None] * a[None]).reshape(-1, z.shape[1])  # the constant of b first: the head of a leads
 
-    def _all_slopes(self, z):
-        (a, b), (da, db) = [part.lift(z) for part in self.parts_], [part.lift_slopes(z) for part in self.parts_]
+    def _all_slopes(self, z, inputs):
+        (a, da), (b, db) = (part.lift_with_slopes(z, inputs=inputs) for part in self.parts_)
         slopes = db[:, None] * a[None, :, None] + b[:, None, None] * da[None]
         return slopes.reshape(-1, *slopes.shape[2:])
 

@@ -62,8 +62,8 @@ class Monomials(Dictionary):
         ]
         self._runs = [(slice(j[0], j[-1] + 1), slice(first[j[0]], first[j[-1]] + 1), letter[j[0]]) for j in same]
         # d/dx_i of a monomial is its exponent times the monomial with one x_i less.
-        self._slopes = self._exponents[:, : self.n_states_, None].astype(float)
-        self._lowered = np.array([[_without(word, i, index) for i in range(self.n_states_)] for word in words])
+        self._slopes = self._exponents[:, :, None].astype(float)
+        self._lowered = np.array([[_without(word, i, index) for i in range(channels)] for word in words])
         return len(words) - 1 - channels
 
     def _fill(self, psi, z):
@@ -75,7 +75,8 @@ class Monomials(Dictionary):
                 np.multiply(psi[shorter], z[letter], out=psi[run])
 
     def _fill_slopes(self, slopes, psi, z):
-        np.multiply(self._slopes, psi[self._lowered], out=slopes)
+        channels = slopes.shape[1]
+        np.multiply(self._slopes[:, :channels], psi[self._lowered[:, :channels]], out=slopes)
 
     def _tail_names(self, channels):
         powers = [[c if e == 1 else f"{c}^{e}" for c, e in zip(channels, row) if e] for row in self._exponents]

@@ -46,7 +46,7 @@ class Exponentials(Dictionary):
 
     def _fill_slopes(self, slopes, psi, z):
         head = 1 + len(z)
-        slopes[head:] = self._wave[:, : self.n_states_, None] * psi[head:, None]
+        slopes[head:] = self._wave[:, : slopes.shape[1], None] * psi[head:, None]
 
     def _tail_names(self, channels):
         return [f"exp({_combination(self.rate * k, channels)})" for k in self._k]
@@ -94,7 +94,7 @@ class Fourier(Dictionary):
     def _fill_slopes(self, slopes, psi, z):
         head = 1 + len(z)
         half = head + len(self._wave)
-        wave = self._wave[:, : self.n_states_, None]
+        wave = self._wave[:, : slopes.shape[1], None]
         slopes[head:half] = -wave * psi[half:, None]
         slopes[half:] = wave * psi[head:half, None]
 

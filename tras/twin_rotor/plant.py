@@ -13,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tras.twin_rotor.integrator import butcher
 from tras.workflow import arguments
 
 STATE_NAMES = ("phi", "phidot", "psi", "psidot")
@@ -73,6 +74,11 @@ class PlantParameters:
 
     # No field: it belongs to the class, `PrintedPlant` has another.
     velocity_term: ClassVar[str] = "corrected"
+    # What a controller or a recording needs to know of a plant, beside its equations.
+    state_names: ClassVar[tuple[str, ...]] = STATE_NAMES
+    state_units: ClassVar[tuple[str, ...]] = STATE_UNITS
+    input_names: ClassVar[tuple[str, ...]] = TORQUE_NAMES
+    input_units: ClassVar[tuple[str, ...]] = TORQUE_UNITS
 
     def __post_init__(self):
         for name in LUMPED:
@@ -85,6 +91,11 @@ class PlantParameters:
                 raise ValueError(f"{name} is {value}; an inertia must be positive.")
         for name in ("u_phi_limits", "u_psi_limits"):
             object.__setattr__(self, name, torque_limits(name, getattr(self, name)))
+
+    @property
+    def input_limits(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Lowest and highest torque in N m about pitch and yaw."""
+        return self.u_phi_limits, self.u_psi_limits
 
     @classmethod
     def from_masses(
@@ -311,9 +322,13 @@ def simulate_plant(
         raise ValueError(f"torques has shape {torques.shape}; give (samples, 2) with at least one sample.")
     batch = np.broadcast_shapes(x0.shape[:-1], torques.shape[:-2])
     advance = stepper(parameters, dt, step=step, functions=np if batch else math)
-    x = np.moveaxis(np.broadcast_to(x0, (*batch, 4)), -1, 0)
-    u = np.moveaxis(np.broadcast_to(torques, (*batch, *torques.shape[-2:])), (-2, -1), (0, 1))
-    if not batch:  # one run: plain floats are ten times as fast as arrays of one
+    return rolled(advance, np.broadcast_to(x0, (*batch, 4)), np.broadcast_to(torques, (*batch, *torques.shape[-2:])))
+
+
+def rolled(advance: Callable, x0: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+    """States (..., samples, n) that ``advance`` makes from ``x0`` (..., n) under ``inputs`` (..., samples, m)."""
+    x, u = np.moveaxis(x0, -1, 0), np.moveaxis(inputs, (-2, -1), (0, 1))
+    if x0.ndim == 1:  # one run: plain floats are ten times as fast as arrays of one
         x, u = x.tolist(), u.tolist()
     states = [x]
     with np.errstate(over="ignore", invalid="ignore"):  # `advance` raises
@@ -325,9 +340,8 @@ def simulate_plant(
 def stepper(parameters: PlantParameters, dt: float, *, step: float = 0.01, functions=math) -> Callable:
     """The flow over one sample as ``advance((phi, phidot, psi, psidot), (u_phi, u_psi)) -> tuple``, torques held.
 
-    Butcher's explicit Runge-Kutta method of order 6 with seven stages (J. C. Butcher, J. Austral. Math. Soc. 4, 1964,
-    p. 192), in steps of at most ``step`` seconds, shorter where 0.1 s of the present acceleration leads to more than
-    1.5 rad/s: 1 ms at 10 rad/s, 0.45 ms at 20 rad/s.
+    Butcher's method of order 6 (`tras.twin_rotor.integrator`) in steps of at most ``step`` seconds, shorter where 0.1 s
+    of the present acceleration leads to more than 1.5 rad/s: 1 ms at 10 rad/s, 0.45 ms at 20 rad/s.
 
     With TRAS-A, torques within its limits, any ``dt``, and ``step`` up to 0.01 s, the error over 6 s is at most 1e-9
     (rad, rad/s), measured on 480 random motions with initial rates of up to 10 rad/s. On five of them, which tumble or
@@ -346,22 +360,41 @@ def stepper(parameters: PlantParameters, dt: float, *, step: float = 0.01, funct
     ValueError
         If ``dt`` or ``step`` is not positive; by ``advance``, if the rig gets faster than 1000 rad/s.
     """
+    return flow(equations_of_motion(parameters, functions), dt, step=step, functions=functions)
+
+
+def flow(
+    rates: Callable, dt: float, *, step: float = 0.01, functions=math, others: int = 0, inputs: int = 2
+) -> Callable:
+    """`stepper` for any plant of two axes: ``advance(x, u) -> tuple``.
+
+    Parameters
+    ----------
+    rates : callable
+        ``(phi, phidot, psi, psidot, *others, *inputs) -> (phiddot, psiddot, *derivatives of the others)``.
+    dt, step, functions
+        As for `stepper`; ``step`` also has to suit the further states, of which the choice of steps knows nothing.
+    others, inputs : int
+        Number of further states, such as the speeds of rotors, and of inputs.
+
+    Raises
+    ------
+    ValueError
+        As for `stepper`.
+    """
     for name, value in (("dt", dt), ("step", step)):
         arguments.number(name, value, 0, ends=False, give="a positive time in s")
-    accelerations = equations_of_motion(parameters, functions)
+    one_step = butcher(2, others, inputs)
     free = _SPEED * (_STEP / step) ** (1 / _POWER)  # rad/s: up to here `step` is short enough
 
     def advance(x, u):
-        # p, w: pitch and its rate; q, v: yaw and its rate. w_i, v_i, k_i, l_i: rates and accelerations at stage i.
-        p, w, q, v = x
-        u_phi, u_psi = u
         remaining, n = dt, 2
         while n > 1:
-            k1, l1 = accelerations(p, w, q, v, u_phi, u_psi)
+            k = rates(*x, *u)
             if functions is math:
-                speed = max(abs(w), abs(v)) + _AHEAD * max(abs(k1), abs(l1))
+                speed = max(abs(x[1]), abs(x[3])) + _AHEAD * max(abs(k[0]), abs(k[1]))
             else:
-                speed = _largest(w, v) + _AHEAD * _largest(k1, l1)
+                speed = _largest(x[1], x[3]) + _AHEAD * _largest(k[0], k[1])
             if not speed < _FASTEST:  # NaN too
                 raise ValueError(
                     f"the simulation left the representable range: the rig turns at more than {_FASTEST:g} rad/s; "
@@ -371,36 +404,8 @@ def stepper(parameters: PlantParameters, dt: float, *, step: float = 0.01, funct
             n = math.ceil(remaining / longest * (1 - 1e-12))  # 0.1 / 0.01 is 10, not 11
             h = remaining / n
             remaining -= h
-            a = h / 3
-            w2, v2 = w + a * k1, v + a * l1
-            k2, l2 = accelerations(p + a * w, w2, q + a * v, v2, u_phi, u_psi)
-            a = 2 * h / 3
-            w3, v3 = w + a * k2, v + a * l2
-            k3, l3 = accelerations(p + a * w2, w3, q + a * v2, v3, u_phi, u_psi)
-            a = h / 12
-            w4, v4 = w + a * (k1 + 4 * k2 - k3), v + a * (l1 + 4 * l2 - l3)
-            p4, q4 = p + a * (w + 4 * w2 - w3), q + a * (v + 4 * v2 - v3)
-            k4, l4 = accelerations(p4, w4, q4, v4, u_phi, u_psi)
-            a = h / 16
-            w5, v5 = w + a * (18 * k2 - k1 - 3 * k3 - 6 * k4), v + a * (18 * l2 - l1 - 3 * l3 - 6 * l4)
-            p5, q5 = p + a * (18 * w2 - w - 3 * w3 - 6 * w4), q + a * (18 * v2 - v - 3 * v3 - 6 * v4)
-            k5, l5 = accelerations(p5, w5, q5, v5, u_phi, u_psi)
-            a = h / 8
-            w6, v6 = w + a * (9 * k2 - 3 * k3 - 6 * k4 + 4 * k5), v + a * (9 * l2 - 3 * l3 - 6 * l4 + 4 * l5)
-            p6, q6 = p + a * (9 * w2 - 3 * w3 - 6 * w4 + 4 * w5), q + a * (9 * v2 - 3 * v3 - 6 * v4 + 4 * v5)
-            k6, l6 = accelerations(p6, w6, q6, v6, u_phi, u_psi)
-            a = h / 44
-            w7 = w + a * (9 * k1 - 36 * k2 + 63 * k3 + 72 * k4 - 64 * k6)
-            v7 = v + a * (9 * l1 - 36 * l2 + 63 * l3 + 72 * l4 - 64 * l6)
-            p7 = p + a * (9 * w - 36 * w2 + 63 * w3 + 72 * w4 - 64 * w6)
-            q7 = q + a * (9 * v - 36 * v2 + 63 * v3 + 72 * v4 - 64 * v6)
-            k7, l7 = accelerations(p7, w7, q7, v7, u_phi, u_psi)
-            a = h / 120
-            p = p + a * (11 * (w + w7) + 81 * (w3 + w4) - 32 * (w5 + w6))
-            q = q + a * (11 * (v + v7) + 81 * (v3 + v4) - 32 * (v5 + v6))
-            w = w + a * (11 * (k1 + k7) + 81 * (k3 + k4) - 32 * (k5 + k6))
-            v = v + a * (11 * (l1 + l7) + 81 * (l3 + l4) - 32 * (l5 + l6))
-        return p, w, q, v
+            x = one_step(rates, x, u, k, h)
+        return x
 
     return advance
 
