@@ -147,7 +147,7 @@ class Observer:
 
     def scaled(self, y: np.ndarray, u: ArrayLike | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same in scaled channels: z (n',), and what disturbs the inputs (m,) and the states (n',)."""
-        c, count = self.channels, len(self.channels.z_scale)
+        c = self.channels
         if y.shape == c.x_scale.shape:
             y = y[self._rows]
         if y.shape != self._rows.shape or not np.isfinite(y).all():
@@ -158,6 +158,12 @@ class Observer:
         else:
             self._predict((np.asarray(u, dtype=float) - c.u_offset) / c.u_scale)
             self._correct(y)
+        return self.estimate
+
+    @property
+    def estimate(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """State, and what disturbs the inputs and the states, in scaled channels."""
+        count = len(self.channels.z_scale)
         d = self._state[count:]
         return self._state[:count], self._on_inputs @ d, self._on_states @ d
 
