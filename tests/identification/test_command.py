@@ -16,8 +16,8 @@ from conftest import HOSTILE, ROOT
 
 import tras
 from tras.identification import command
-from tras.workflow import results
 from tras.workflow.parameters import ParameterError
+from tras.workflow.results import LISTING
 
 PAGE = (ROOT / "docs" / "own_rig.md").read_text()
 NAME = "{http://www.w3.org/1999/xhtml}"
@@ -267,7 +267,7 @@ def leave_results(folder, recording, *, finished=True):
     """A folder as `make identify` leaves it."""
     folder.mkdir(parents=True)
     (folder / "report.html").touch()
-    (folder / results.LISTING).write_text(f"file\nreport.html\n{results.LISTING}\n")
+    (folder / LISTING).write_text(f"file\nreport.html\n{LISTING}\n")
     if finished:
         (folder / "identify.json").write_text(json.dumps({"parameters": {"recording": recording}}))
 

@@ -68,6 +68,8 @@ def write(model: KoopmanModel, settings, name: str, folder: str | Path) -> list[
     made = design(model, settings)
     with written_together(folder) as stage:
         text = yaml.safe_dump(made.settings, sort_keys=False, allow_unicode=True)
+        if yaml.safe_load(text) != made.settings:  # names that no plain text can hold
+            text = yaml.safe_dump(made.settings, sort_keys=False)
         (stage / "settings.yaml").write_text(text, encoding="utf-8")
         files = [
             (PAGE, "this page"),
