@@ -19,18 +19,23 @@ endif
 
 # What `make identify` and `make control` take. Only what stands on the command line: TEST, FROM and TIME may be in anybody's environment. It is text, such
 # as the name of a file: `override` keeps make from reading $(...) in it, here, before anything else could; the shell has it by `export`.
-IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL TEST FROM TO DECIMATE DT RESAMPLE PREDICTOR DELAYS SMOOTHING LEAD HORIZON DRAWS
+IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL TEST FROM TO DECIMATE DT RESAMPLE PREDICTOR DELAYS SMOOTHING LEAD EVERY ACTUATORS HORIZON DRAWS
 CONTROL := OUT SETTINGS
 TYPED := $(foreach name,RECORDING MODEL $(sort $(IDENTIFY) $(CONTROL)),$(if $(and $(filter command,$(origin $(name))),$(value $(name))),$(name)))
 $(foreach name,$(TYPED),$(eval override $(name) := $$(value $(name)))$(eval export $(name)))
 
-# The same bits on every run: sums depend on the number of BLAS threads. Kernels choose the inline backend by themselves.
+# The same bits on every run: sums depend on the number of BLAS threads, and on what BLAS and NumPy choose for the processor.
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 export PYTHONHASHSEED := 0
-unexport MPLBACKEND
-unexport PYTHONDONTWRITEBYTECODE  # uv leaves compiling to the first import; without the result each stage takes 1.5 s longer
+# What else is in the environment stays out: another tras on PYTHONPATH, another kernel, the user's settings of notebooks and figures. With
+# PYTHONDONTWRITEBYTECODE each stage would take 1.5 s longer (uv leaves compiling to the first import); kernels choose their own backend.
+# What is said to make itself stays: make OPENBLAS_CORETYPE=Haswell verify.
+OUTSIDE := PYTHON% JUPYTER% IPYTHON% MPLBACKEND MATPLOTLIB% OPENBLAS_% GOTO_% OMP_% MKL_% KMP_% NPY_% GLIBC_TUNABLES BASH_ENV
+unexport $(foreach name,$(filter $(OUTSIDE),$(.VARIABLES)),$(if $(filter environment,$(origin $(name))),$(name)))
+export MATPLOTLIBRC := /dev/null
+export JUPYTER_PREFER_ENV_PATH := 1
 
 # --- profiles: paper, smoke (the same code, small), or your own params/NAME.yaml ------------------------------------------------
 
@@ -58,7 +63,7 @@ ROBUSTNESS_DRAWN := robustness_noise robustness_length eigenfunctions parameters
 # The paper's own part is what `make paper` builds; the studies beyond it belong to `make all`. A study needs one name in STUDIES, one
 # list of outputs in STUDY_OUTPUTS and one line `$(eval $(call stage,...))` at the end.
 PAPER_STAGES := 01_data_generation 02_identification 03_validation 04_figures
-STUDIES := 05_robustness 06_readings 07_comparison 08_claims 09_pictures
+STUDIES := 05_robustness 06_readings 07_comparison 08_claims 09_pictures 11_control
 STAGES := $(PAPER_STAGES) $(STUDIES)
 OUT_01 := $(addprefix $(DATA)/,train.nc validation_multisine.nc validation_steps.nc validation_chirp.nc)
 OUT_02 := $(addprefix $(DATA)/,held_out.nc identification.csv spectrum.csv $(MODELS:%=models/%.npz))
@@ -70,9 +75,10 @@ OUT_07 := $(addprefix $(DATA)/,comparison.csv comparison_tuning.csv comparison_d
   $(foreach kind,pdf svg png csv,$(addprefix $(FIGURES)/,comparison_window.$(kind) comparison_horizon.$(kind) comparison_data.$(kind)))
 OUT_08 := $(DATA)/claims.csv
 OUT_09 := $(addprefix $(FIGURES)/,animation.gif animation.csv $(foreach kind,pdf svg png csv,portrait.$(kind)))
+OUT_11 := $(DATA)/control.csv $(addprefix $(FIGURES)/,control_film.gif control_film.csv $(foreach kind,pdf svg png csv,control_tracking.$(kind) control_disturbance.$(kind)))
 
 PAPER_OUTPUTS := $(OUT_01) $(OUT_02) $(OUT_03) $(OUT_04)
-STUDY_OUTPUTS := $(OUT_05) $(OUT_06) $(OUT_07) $(OUT_08) $(OUT_09)
+STUDY_OUTPUTS := $(OUT_05) $(OUT_06) $(OUT_07) $(OUT_08) $(OUT_09) $(OUT_11)
 
 STAMPS := $(STAGES:%=$(BUILD)/%.ipynb)
 KEYS := $(STAGES:%=$(BUILD)/%.key)
@@ -119,7 +125,7 @@ sweep: $(READY) ## explore |  | many fits: SWEEP=params/sweeps/dictionaries.yaml
 	@$(PY) -m tras.sweeps.command $(SWEEP) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
 # RECORDING=log.csv, "a.csv b.csv" or "run*.csv", and where names are not plain ROLES=roles.yaml or STATES=a,b INPUTS=c TIME=t TRIAL=run; also
-# TEST= FROM= TO= DECIMATE= DT= RESAMPLE= PREDICTOR= DELAYS= SMOOTHING= LEAD= HORIZON= DRAWS= OUT= (docs/own_rig.md).
+# TEST= FROM= TO= DECIMATE= DT= RESAMPLE= PREDICTOR= DELAYS= SMOOTHING= LEAD= EVERY= ACTUATORS= HORIZON= DRAWS= OUT= (docs/own_rig.md).
 lower = $(shell printf %s "$(1)" | tr A-Z a-z)
 
 identify: $(READY) ## your rig | 15 s | a model of your own system: make identify RECORDING=log.csv (docs/own_rig.md)
@@ -149,7 +155,7 @@ test: $(READY) ## maintain | 14 min | unit tests, then every notebook of the sma
 	MPLBACKEND=Agg $(PY) -m pytest || failed="unit tests"; \
 	$(MAKE) PROFILE=smoke stages \
 	  && $(MAKE) example && $(MAKE) identify RECORDING=build/example/duffing.csv OUT=build/smoke/identify \
-	  && $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) build/smoke/identify/identify.ipynb \
+	  && IPYTHONDIR=$(CURDIR)/build/ipython $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) build/smoke/identify/identify.ipynb \
 	  || failed="$${failed:+$$failed, }notebooks of the small profile"; \
 	test -z "$$failed" || { echo "make test: FAILED ($$failed): see the first failure of each above." >&2; exit 1; }; \
 	echo "make test: the unit tests passed, and every notebook of the small profile gives what it gave."
@@ -250,5 +256,6 @@ $(eval $(call stage,04_figures,$(OUT_04),01_data_generation 02_identification 03
 $(eval $(call stage,05_robustness,$(OUT_05),01_data_generation))
 $(eval $(call stage,06_readings,$(OUT_06),))
 $(eval $(call stage,07_comparison,$(OUT_07),01_data_generation))
-$(eval $(call stage,08_claims,$(OUT_08),02_identification 03_validation 05_robustness 06_readings 07_comparison))
+$(eval $(call stage,08_claims,$(OUT_08),02_identification 03_validation 05_robustness 06_readings 07_comparison 11_control))
 $(eval $(call stage,09_pictures,$(OUT_09),))
+$(eval $(call stage,11_control,$(OUT_11),01_data_generation 02_identification))

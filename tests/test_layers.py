@@ -19,7 +19,7 @@ MAY_IMPORT = {
     "dictionaries": "",
     "solver": "",
     "io": "workflow.files",
-    "analysis": "display.plots",
+    "analysis": "display.plots predictors",
     "flat": f"analysis dictionaries solver io large display {LEAVES}",
     "display": "plotting metrics dictionaries.base workflow.page",
     "twin_rotor": f"recording {LEAVES}",
