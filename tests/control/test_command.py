@@ -213,5 +213,5 @@ def test_the_folder_of_a_model_with_hostile_names(tmp_path):
     page = (tmp_path / "out" / "control.html").read_text(encoding="utf-8")
     assert is_harmless(page) and "PWNED" in page
     written = yaml.safe_load((tmp_path / "out" / "settings.yaml").read_text(encoding="utf-8"))
-    assert list(written["weights"]) == names[1:2] and written["disturbed"] == names[1:]
+    assert list(written["weights"]) == names[1:2] and written["measured"] == names[1:]
     assert not list(tmp_path.rglob("PWNED*"))

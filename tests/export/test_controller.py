@@ -38,7 +38,7 @@ PREVIEW = [
 ]
 REGULATORS = [
     ("vector_field", 0, {}), ("one_step", 0, {"offset_free": False, "limits": TIGHT}), ("lifted_linear", 0, {}),
-    ("one_step", 2, {}), ("vector_field", 0, {"weights": {"phi": 1.0}}),
+    ("one_step", 1, {}), ("vector_field", 2, {"offset_free": False}), ("vector_field", 0, {"weights": {"phi": 1.0}}),
 ]  # fmt: skip
 
 

@@ -80,7 +80,7 @@ def write(model: KoopmanModel, settings, name: str, folder: str | Path) -> list[
         try:
             controller_to_c(made.controller, stage / "controller.c")
             files.append(("controller.c", "the controller in C99 without dependencies (docs/export.md)"))
-            files.append(("controller.h", "its three functions and what their vectors hold"))
+            files.append(("controller.h", "its two functions and what their vectors hold"))
         except ValueError as error:
             failure = f"The controller in C: {error}"
         save_figure(*draw_run(made), stage / "run")
