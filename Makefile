@@ -17,19 +17,25 @@ ifneq ($(words $(CURDIR)),1)
 $(error the folder "$(CURDIR)" has a blank in its path, which make cannot handle: move the checkout)
 endif
 
-# What `make identify` takes. Only what stands on the command line: TEST, FROM and TIME may be in anybody's environment. It is text, such
+# What `make identify` and `make control` take. Only what stands on the command line: TEST, FROM and TIME may be in anybody's environment. It is text, such
 # as the name of a file: `override` keeps make from reading $(...) in it, here, before anything else could; the shell has it by `export`.
-IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL TEST FROM TO DECIMATE DT RESAMPLE PREDICTOR DELAYS SMOOTHING LEAD HORIZON DRAWS
-TYPED := $(foreach name,RECORDING $(IDENTIFY),$(if $(and $(filter command,$(origin $(name))),$(value $(name))),$(name)))
+IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL TEST FROM TO DECIMATE DT RESAMPLE PREDICTOR DELAYS SMOOTHING LEAD EVERY ACTUATORS HORIZON DRAWS
+CONTROL := OUT SETTINGS
+TYPED := $(foreach name,RECORDING MODEL $(sort $(IDENTIFY) $(CONTROL)),$(if $(and $(filter command,$(origin $(name))),$(value $(name))),$(name)))
 $(foreach name,$(TYPED),$(eval override $(name) := $$(value $(name)))$(eval export $(name)))
 
-# The same bits on every run: sums depend on the number of BLAS threads. Kernels choose the inline backend by themselves.
+# The same bits on every run: sums depend on the number of BLAS threads, and on what BLAS and NumPy choose for the processor.
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 export PYTHONHASHSEED := 0
-unexport MPLBACKEND
-unexport PYTHONDONTWRITEBYTECODE  # uv leaves compiling to the first import; without the result each stage takes 1.5 s longer
+# What else is in the environment stays out: another tras on PYTHONPATH, another kernel, the user's settings of notebooks and figures. With
+# PYTHONDONTWRITEBYTECODE each stage would take 1.5 s longer (uv leaves compiling to the first import); kernels choose their own backend.
+# What is said to make itself stays: make OPENBLAS_CORETYPE=Haswell verify.
+OUTSIDE := PYTHON% JUPYTER% IPYTHON% MPLBACKEND MATPLOTLIB% OPENBLAS_% GOTO_% OMP_% MKL_% KMP_% NPY_% GLIBC_TUNABLES BASH_ENV
+unexport $(foreach name,$(filter $(OUTSIDE),$(.VARIABLES)),$(if $(filter environment,$(origin $(name))),$(name)))
+export MATPLOTLIBRC := /dev/null
+export JUPYTER_PREFER_ENV_PATH := 1
 
 # --- profiles: paper, smoke (the same code, small), or your own params/NAME.yaml ------------------------------------------------
 
@@ -88,7 +94,7 @@ LOCKED := $(shell cat $(LOCKS) 2>/dev/null | { sha256sum || shasum -a 256; } 2>/
 READY := .venv/.ready-$(LOCKED)
 PY := .venv/bin/python
 
-.PHONY: help setup all stages paper figures docs sweep smoke lint check test verify bless lab lock readme clean distclean bench bench-test identify \
+.PHONY: help setup all stages paper figures docs sweep smoke lint check test verify bless lab lock readme clean distclean bench bench-test identify control \
   example FORCE
 
 # A comment `## GROUP | TIME | TEXT` behind a target puts it into the list; times are those of two cores, with the environment there.
@@ -119,12 +125,16 @@ sweep: $(READY) ## explore |  | many fits: SWEEP=params/sweeps/dictionaries.yaml
 	@$(PY) -m tras.sweeps.command $(SWEEP) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
 # RECORDING=log.csv, "a.csv b.csv" or "run*.csv", and where names are not plain ROLES=roles.yaml or STATES=a,b INPUTS=c TIME=t TRIAL=run; also
-# TEST= FROM= TO= DECIMATE= DT= RESAMPLE= PREDICTOR= DELAYS= SMOOTHING= LEAD= HORIZON= DRAWS= OUT= (docs/own_rig.md).
+# TEST= FROM= TO= DECIMATE= DT= RESAMPLE= PREDICTOR= DELAYS= SMOOTHING= LEAD= EVERY= ACTUATORS= HORIZON= DRAWS= OUT= (docs/own_rig.md).
 lower = $(shell printf %s "$(1)" | tr A-Z a-z)
 
 identify: $(READY) ## your rig | 15 s | a model of your own system: make identify RECORDING=log.csv (docs/own_rig.md)
 	@$(if $(filter RECORDING,$(TYPED)),,echo "say which recording: make identify RECORDING=log.csv (make example writes one to try)" >&2; exit 2)
-	@$(PY) -m tras.identification.command $(foreach name,$(filter-out RECORDING,$(TYPED)),--$(call lower,$(name))="$$$(name)") -- "$$RECORDING"
+	@$(PY) -m tras.identification.command $(foreach name,$(filter $(IDENTIFY),$(TYPED)),--$(call lower,$(name))="$$$(name)") -- "$$RECORDING"
+
+control: $(READY) ## your rig | 15 s | a controller from that model: make control MODEL=build/identify/log/model.npz (docs/control.md)
+	@$(if $(filter MODEL,$(TYPED)),,echo "say which model: make control MODEL=build/identify/log/model.npz (make identify writes one)" >&2; exit 2)
+	@$(PY) -m tras.control.command $(foreach name,$(filter $(CONTROL),$(TYPED)),--$(call lower,$(name))="$$$(name)") -- "$$MODEL"
 
 example: $(READY) ## your rig |  | recordings of two simulated systems to try it on, in build/example/
 	@$(PY) -m tras.identification.examples duffing build/example/duffing.csv
@@ -145,7 +155,7 @@ test: $(READY) ## maintain | 14 min | unit tests, then every notebook of the sma
 	MPLBACKEND=Agg $(PY) -m pytest || failed="unit tests"; \
 	$(MAKE) PROFILE=smoke stages \
 	  && $(MAKE) example && $(MAKE) identify RECORDING=build/example/duffing.csv OUT=build/smoke/identify \
-	  && $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) build/smoke/identify/identify.ipynb \
+	  && IPYTHONDIR=$(CURDIR)/build/ipython $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) build/smoke/identify/identify.ipynb \
 	  || failed="$${failed:+$$failed, }notebooks of the small profile"; \
 	test -z "$$failed" || { echo "make test: FAILED ($$failed): see the first failure of each above." >&2; exit 1; }; \
 	echo "make test: the unit tests passed, and every notebook of the small profile gives what it gave."

@@ -120,14 +120,17 @@ def inner(header, *keys):
 
 
 HEADERS = {
-    "a degree of 3 000": ("field", ["dictionary", "parameters", "degree"], 3000, "more than 10000 functions"),
-    "a degree of 100 000": ("field", ["dictionary", "parameters", "degree"], 100_000, "more than 10000 functions"),
+    "a degree of 3 000": ("field", ["dictionary", "parameters", "degree"], 3000, "degree is 3000; give"),
+    "a degree of 100 000": ("field", ["dictionary", "parameters", "degree"], 100_000, "degree is 100000; give"),
+    "a degree of 300": ("field", ["dictionary", "parameters", "degree"], 300, "more than 10000 functions"),
+    "unsettled by number": ("field", ["unsettled"], [3], "its unsettled are no list of sentences"),
+    "unsettled at length": ("field", ["unsettled"], ["a" * 2000], "its unsettled are no list of sentences"),
     "a degree of zero": ("field", ["dictionary", "parameters", "degree"], 0, "its dictionary Monomials has degree = 0"),
     "a degree in words": ("field", ["dictionary", "parameters", "degree"], "two", "has degree = 'two'"),
     "another degree": ("field", ["dictionary", "parameters", "degree"], 3, "has 20 functions, its header names 10"),
-    "a high degree": ("mechanical", ["dictionary", "parameters", "degree"], 10**6, "more than 10000 functions"),
+    "a high degree": ("mechanical", ["dictionary", "parameters", "degree"], 10**6, "degree is 1000000; give"),
     "a shape many times": ("mechanical", ["dictionary", "parameters", "shape"], [0] * 30, "each once"),
-    "an order without end": ("linear", ["dictionary", "parameters", "order"], 10**9, "more than 10000 functions"),
+    "an order without end": ("linear", ["dictionary", "parameters", "order"], 10**9, "order is 1000000000; give"),
     "an endless period": ("linear", ["dictionary", "parameters", "period"], math.inf, "has period = inf"),
     "hardly a period": ("linear", ["dictionary", "parameters", "period"], 1e-320, "has period = 1e-320"),
     "no seed": ("rbf", ["dictionary", "parameters", "seed"], -1, "has seed = -1"),

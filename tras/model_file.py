@@ -55,7 +55,7 @@ _PARAMETERS = {
     "seed": lambda value: value is None or _whole(value, 0),
     "centres": lambda value: value is None or value in CENTRES,
     **dict.fromkeys(
-        ("positions", "velocities", "shape"),
+        ("positions", "velocities", "shape", "actuators"),
         lambda value: value is None or isinstance(value, list) and all(_whole(item, 0) for item in value),
     ),
     "parts": lambda value: value is None,  # they are stored beside
@@ -66,6 +66,7 @@ def save(model, path):
     """See `tras.KoopmanModel.save`."""
     arrays = {key: value for key in _ARRAYS if (value := getattr(model, key, None)) is not None}
     parameters = {key: value for key, value in model.get_params(deep=False).items() if key != "dictionary"}
+    del parameters["max_functions"]  # a limit of a fit, not of the model
     if not parameters["lead"]:
         del parameters["lead"]  # then the file is as earlier releases write and read it
     header = {
@@ -76,6 +77,8 @@ def save(model, path):
     }
     if hasattr(model, "errors_"):
         header["errors"] = [[float(key), float(value)] for key, value in model.errors_.items()]
+    if getattr(model, "unsettled_", []):
+        header["unsettled"] = model.unsettled_
     if model.hull_ is not None:
         arrays |= {f"hull.{key}": value for key, value in model.hull_.arrays().items()}
         header["free"] = [int(i) for i in model.hull_.free]
@@ -134,6 +137,9 @@ def _restored(header, arrays):
         attributes["hull_"] = Hull.restored(parts, _free(header["free"], z + m, len(parts["centre"])))
     if "errors" in header:
         attributes["errors_"] = _errors(header["errors"])
+    attributes["unsettled_"] = header.get("unsettled", [])
+    if not isinstance(attributes["unsettled_"], list) or not all(map(_is_sentence, attributes["unsettled_"])):
+        raise ValueError("its unsettled are no list of sentences")
     attributes |= {f"{key}_": header[key] for key in ("names", "pairs", "rank", "strength")}
     attributes["fitted_as_"] = tuple(header["fitted_as"])
     attributes |= _checked_arrays(arrays, parameters, functions, z, m, attributes["hull_"] is not None)
@@ -170,6 +176,10 @@ def _free(free, channels, length):
     if length != channels or not isinstance(free, list) or not all(_whole(i, 0) and i < channels for i in free):
         raise ValueError(f"its hull is not one of its {channels} channels")
     return free
+
+
+def _is_sentence(value):
+    return isinstance(value, str) and _is_text(value) and len(value) <= 1000
 
 
 def _errors(errors):
@@ -242,7 +252,9 @@ def _pack(dictionary, place, arrays):
     for key, value in dictionary.get_params(deep=False).items():
         if isinstance(value, np.generic):
             value = value.item()
-        if key in ("positions", "velocities", "shape") and value is not None:
+        if key == "actuators" and value is None:
+            continue  # then the file is as earlier releases write and read it
+        if key in ("positions", "velocities", "shape", "actuators") and value is not None:
             value = [int(i) for i in value]
         # What the parts, a Generator or an array of centres led to is among the learnt.
         header["parameters"][key] = (
@@ -292,6 +304,8 @@ def _learnt(arrays, place, dictionary, channels):
         shapes["kept_"] = (None,)
     elif "centres" in dictionary.get_params(deep=False):
         shapes |= {"centres_": (None, sum(channels)), "width_": ()}
+    elif getattr(dictionary, "actuators", None):
+        shapes["origin_"] = (sum(channels),)
     values = {key.rpartition(".")[2]: value for key, value in arrays.items()}
     if set(values) != set(shapes):
         raise ValueError(f"it lacks what its dictionary {type(dictionary).__name__} has learnt, or has more")

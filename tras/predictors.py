@@ -174,7 +174,12 @@ class LiftedLinear:
         """A, transposed, and B from the change D; the inputs' rows stand behind those of constant and states."""
         n, m = len(model.dictionary_.coordinates), len(model.input_names_)
         if model.stable:
-            D = stable_change(least_squares, D, n, m, radius=float(model.stable))
+
+            def unsettled(iterations):
+                how = f"ended after {iterations} iterations that still gained"
+                model.unsettled_.append(f"the search of a stable matrix {how}: a better one is likely")
+
+            D = stable_change(least_squares, D, n, m, radius=float(model.stable), unsettled=unsettled)
         of_inputs = np.zeros(len(D), dtype=bool)
         of_inputs[1 + n : 1 + n + m] = True
         model.koopman_matrix = np.eye(len(model.names_)) + D[~of_inputs]

@@ -16,6 +16,7 @@ from conftest import HOSTILE, ROOT
 
 import tras
 from tras.identification import command
+from tras.workflow import results
 from tras.workflow.parameters import ParameterError
 
 PAGE = (ROOT / "docs" / "own_rig.md").read_text()
@@ -76,11 +77,12 @@ def test_the_page_is_whole_and_needs_no_network(checkout):
     text = (checkout / "build" / "identify" / "duffing" / "report.html").read_text(encoding="utf-8")
     tree = ElementTree.fromstring(text.removeprefix("<!DOCTYPE html>\n"))
     images = [image.get("src") for image in tree.iter(f"{NAME}img")]
-    assert len(images) == 6 and all(source.startswith("data:image/") for source in images)
+    assert len(images) == 10 and all(source.startswith("data:image/") for source in images)
     assert [h.text for h in tree.iter(f"{NAME}h2")][1:] == [
         "In short",
         "The recording",
         "How well it predicts",
+        "Step and frequency response",
         "The operator",
         "Files",
         "How the model was chosen",
@@ -263,11 +265,11 @@ def started(monkeypatch):
     return folders
 
 
-def results(folder, recording, *, finished=True):
+def leave_results(folder, recording, *, finished=True):
     """A folder as `make identify` leaves it."""
     folder.mkdir(parents=True)
     (folder / "report.html").touch()
-    (folder / command.LISTING).write_text(f"file\nreport.html\n{command.LISTING}\n")
+    (folder / results.LISTING).write_text(f"file\nreport.html\n{results.LISTING}\n")
     if finished:
         (folder / "identify.json").write_text(json.dumps({"parameters": {"recording": recording}}))
 
@@ -287,8 +289,8 @@ def test_results_do_not_replace_files_of_others(tmp_path, monkeypatch, capsys, s
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("file\nother.txt\n")
     (tmp_path / "empty").mkdir()
-    results(tmp_path / "build" / "identify" / "log", ["run1/log.csv"])
-    results(tmp_path / "killed", [], finished=False)
+    leave_results(tmp_path / "build" / "identify" / "log", ["run1/log.csv"])
+    leave_results(tmp_path / "killed", [], finished=False)
     (tmp_path / "killed" / "my notes.txt").touch()
     for folder, words in {
         "/": "no folder for results", "~": "no folder for results", "home": "no folder for results",

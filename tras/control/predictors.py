@@ -43,6 +43,7 @@ class Predictor:
         Root mean square of the error over one sample, in scaled channels.
     """
 
+    model: KoopmanModel | None = None  # that it is of
     channels: Channels
     limits: np.ndarray
     accuracy: np.ndarray
@@ -116,7 +117,7 @@ class Identified(Predictor):
 
     def __init__(self, model: KoopmanModel):
         model.require_fitted()
-        self.channels = model.channels_
+        self.model, self.channels = model, model.channels_
         self.limits = np.stack([model.u_offset_ - model.u_scale_, model.u_offset_ + model.u_scale_], axis=1)
         first = 0 if model.columns == "states" else 1  # otherwise the constant's residual, zero, comes first
         residual = np.asarray(model.residual_)[first : first + len(model.state_names_)]

@@ -8,7 +8,7 @@ from tras.workflow.arguments import extra
 
 _SOFT = 8  # DAQP's word for a constraint that may be violated at a cost
 _REASONS = {-1: "infeasible", -2: "cycling", -3: "unbounded", -4: "iteration limit", -5: "not convex", -7: "time limit"}
-TOLERANCE = 1e-9  # of constraints, in the scaled channels of a controller
+TOLERANCE = 1e-12  # of constraints: those of a state at the next sample move the inputs by 1e5 times that
 
 
 class Solution(NamedTuple):
@@ -34,10 +34,8 @@ class Program:
             import daqp
 
         self._new, self._model, self._shape = daqp.Model, None, None
-        self._settings = {
-            "w_soft": linear, "rho_soft": 1 / quadratic, "primal_tol": TOLERANCE, "time_limit": time_limit,
-            "iter_limit": iterations,
-        }  # fmt: skip
+        self._linear, self._quadratic = linear, quadratic
+        self._settings = {"primal_tol": TOLERANCE, "time_limit": time_limit, "iter_limit": iterations}
 
     def forget(self) -> None:
         """Start the next solution from nothing."""
@@ -56,6 +54,9 @@ class Program:
             self._model, self._shape = self._new(), G.shape
             self._model.settings = self._settings
             flag, _ = self._model.setup(H, f, G, above, below, sense)
+            if flag >= 0 and soft is not None and np.any(soft):  # in units of the rows, not of DAQP's scaled ones
+                linear, reciprocal = np.full((2, len(sense)), [[self._linear], [1 / self._quadratic]])
+                self._model.soft_weights(reciprocal, reciprocal, linear, linear)
         if flag < 0:
             return self._failed(flag, 0)
         v, _, flag, info = self._model.solve()

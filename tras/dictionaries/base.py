@@ -10,9 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.base import BaseEstimator
+from sklearn.base import BaseEstimator, clone
 
 POSITIVE = "a positive number, in units of the scaled channels"  # what `tras.workflow.arguments.number` says to give
+MOST_DEGREE = 1000  # of a polynomial or a wave; what is beyond is a slip, and slow to count already
 STRIP = 2**13  # points that are lifted at a time: what some dictionaries make on the way is no larger than that
 
 
@@ -24,7 +25,7 @@ class Dictionary(BaseEstimator):
     ``_learn(z)``
         Sets what depends on the data, in attributes that end in an underscore; these are what a file keeps.
     ``_count()``
-        How many functions follow the head, from the same, before anything is built: a ValueError on a wrong parameter.
+        How many functions follow the head, before anything is learnt or built: a ValueError on a wrong parameter.
     ``_build()``
         Derives the rest from them and from ``n_states_``, ``n_inputs_``; returns how many functions follow the head.
     ``_fill(psi, z)``
@@ -37,12 +38,16 @@ class Dictionary(BaseEstimator):
         Names them.
     """
 
-    def fit(self, x: ArrayLike, u: ArrayLike | None = None) -> "Dictionary":
-        """Learn what the dictionary needs (the number of channels; centres) from samples (..., n) and (..., m)."""
+    def fit(self, x: ArrayLike, u: ArrayLike | None = None, origin: ArrayLike | None = None) -> "Dictionary":
+        """Learn what the dictionary needs (the number of channels; centres) from samples (..., n) and (..., m).
+
+        ``origin`` (n + m,) says where the zeros of the channels lie in their scaled values; 0 by default.
+        """
         x, u = _samples(x, u)
         for name in [name for name in vars(self) if name.endswith("_")]:
             delattr(self, name)  # what an earlier fit learnt
         self.n_states_, self.n_inputs_ = x.shape[-1], u.shape[-1]
+        self._origin = np.zeros(x.shape[-1] + u.shape[-1]) if origin is None else np.asarray(origin, dtype=float)
         self._learn(_columns(x, u))
         return self.restore()
 
@@ -125,6 +130,21 @@ class Dictionary(BaseEstimator):
     def count(self) -> int:
         """The number of functions, known from what was learnt before anything is built or lifted."""
         return 1 + self.n_states_ + self.n_inputs_ + self._count()
+
+    def count_of(self, states: int, inputs: int) -> int:
+        """The number of functions of so many channels, known before anything is learnt; of a combination at most.
+
+        >>> import tras
+        >>> tras.Monomials(6).count_of(18, 0)
+        134596
+        """
+        new = clone(self)
+        new.n_states_, new.n_inputs_ = states, inputs
+        return new.count()
+
+    def _count(self):
+        """None behind the head, as far as is known: a subclass says better."""
+        return 0
 
     def restore(self) -> "Dictionary":
         """Ready for use, from what was learnt: also after reading a file."""

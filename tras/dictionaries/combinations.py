@@ -1,5 +1,6 @@
 """Dictionaries of dictionaries: the union of several, the product of two."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -26,7 +27,7 @@ class _Combination(Dictionary):
                 f"parts is {self.parts!r}; give dictionaries, for example Union(Monomials(2), GaussianRBF(10))."
             )
         x, u = z[: self.n_states_].T, z[self.n_states_ :].T
-        self.parts_ = [clone(part).fit(x, u) for part in self.parts]
+        self.parts_ = [clone(part).fit(x, u, self._origin) for part in self.parts]
         # Functions that two parts share must not come twice: they are recognised by their values at random points.
         points = np.random.default_rng(0).uniform(-1, 1, (len(z), 7))
         fingerprints, indices = set(), []
@@ -38,7 +39,11 @@ class _Combination(Dictionary):
         self.kept_ = np.array(indices)
 
     def _count(self):
-        return len(self.kept_) - 1 - self.n_states_ - self.n_inputs_
+        if hasattr(self, "kept_"):
+            return len(self.kept_) - 1 - self.n_states_ - self.n_inputs_
+        # So many are made, though those that come twice are dropped.
+        sizes = [part.count_of(self.n_states_, self.n_inputs_) for part in self.parts if isinstance(part, Dictionary)]
+        return self._together(sizes) - 1 - self.n_states_ - self.n_inputs_
 
     def _build(self):
         for part in self.parts_:
@@ -69,6 +74,8 @@ class Union(_Combination):
     True
     """
 
+    _together = staticmethod(sum)
+
     def _all(self, z):
         return np.concatenate([part.lift(z) for part in self.parts_])
 
@@ -96,6 +103,8 @@ class Product(_Combination):
         if len(self.parts) != 2:
             raise ValueError(f"parts holds {len(self.parts)} dictionaries; a Product is of two, nest it for more.")
         super()._learn(z)
+
+    _together = staticmethod(math.prod)
 
     def _all(self, z):
         a, b = (part.lift(z) for part in self.parts_)

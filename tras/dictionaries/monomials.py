@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tras.dictionaries.base import Dictionary
+from tras.dictionaries.base import MOST_DEGREE, Dictionary
 from tras.workflow import arguments
 
 _FEW = 256  # points for which calls cost more than copies
@@ -38,12 +38,12 @@ class Monomials(Dictionary):
         return "linear" if self.degree == 1 else f"monomials, degree {self.degree}"
 
     def _count(self):
-        arguments.whole_number("degree", self.degree)
+        arguments.whole_number("degree", self.degree, 1, MOST_DEGREE)
         channels = self.n_states_ + self.n_inputs_
         return math.comb(channels + self.degree, channels) - 1 - channels
 
     def _build(self):
-        arguments.whole_number("degree", self.degree)
+        arguments.whole_number("degree", self.degree, 1, MOST_DEGREE)
         channels = self.n_states_ + self.n_inputs_
         words = [w for k in range(self.degree + 1) for w in itertools.combinations_with_replacement(range(channels), k)]
         index = {word: j for j, word in enumerate(words)}

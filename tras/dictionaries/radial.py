@@ -56,7 +56,12 @@ class Radial(Dictionary):
         return points if self.centres == "data" else _kmeans(z.T, points)
 
     def _count(self):
-        return len(self.centres_)
+        if hasattr(self, "centres_"):
+            return len(self.centres_)
+        if not isinstance(self.centres, str):
+            return len(self.centres)
+        arguments.whole_number("n_centres", self.n_centres)
+        return self.n_centres
 
     def _build(self):
         square = self.width_**2

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from tras.dictionaries.base import POSITIVE, Dictionary
+from tras.dictionaries.base import MOST_DEGREE, POSITIVE, Dictionary
 from tras.workflow import arguments
 
 
@@ -30,12 +30,12 @@ class Exponentials(Dictionary):
         self.rate = rate
 
     def _count(self):
-        arguments.whole_number("order", self.order)
+        arguments.whole_number("order", self.order, 1, MOST_DEGREE)
         arguments.number("rate", self.rate, 0, ends=False, give=POSITIVE)
         return _lattice_size(self.n_states_ + self.n_inputs_, self.order) - 1
 
     def _build(self):
-        arguments.whole_number("order", self.order)
+        arguments.whole_number("order", self.order, 1, MOST_DEGREE)
         arguments.number("rate", self.rate, 0, ends=False, give=POSITIVE)
         self._k = np.array([k for k in _lattice(self.n_states_ + self.n_inputs_, self.order) if any(k)])
         self._wave = self.rate * self._k
@@ -73,12 +73,12 @@ class Fourier(Dictionary):
         self.period = period
 
     def _count(self):
-        arguments.whole_number("order", self.order)
+        arguments.whole_number("order", self.order, 1, MOST_DEGREE)
         arguments.number("period", self.period, 0, ends=False, give=POSITIVE)
         return _lattice_size(self.n_states_ + self.n_inputs_, self.order) - 1
 
     def _build(self):
-        arguments.whole_number("order", self.order)
+        arguments.whole_number("order", self.order, 1, MOST_DEGREE)
         arguments.number("period", self.period, 0, ends=False, give=POSITIVE)
         lattice = _lattice(self.n_states_ + self.n_inputs_, self.order)
         self._k = np.array([k for k in lattice if any(k) and next(c for c in k if c) > 0])

@@ -1,39 +1,37 @@
 """The folder of an identification: report, model, exports, figures and tables, written together or not at all."""
 
-import os
-import shutil
-import tempfile
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from tqdm import tqdm
 
 from tras.display import plots
 from tras.export.c import to_c
 from tras.export.common import to_statespace
 from tras.export.equations import formulas
 from tras.export.matlab import to_matlab
-from tras.identification import figures
-from tras.identification.command import LISTING
+from tras.identification import diagnosis, figures
 from tras.identification.examples import example
 from tras.identification.identification import Identification
 from tras.identification.page import write_page
 from tras.plotting import save_figure
 from tras.recording import Recording
 from tras.workflow import page
-from tras.workflow.files import umask
+from tras.workflow.results import written_together
+from tras.workflow.study import terminal
 
 _READABLE = 300  # functions; of more no formulas are written
 
 
 def open_log(
     paths=(), *, roles=None, states=None, inputs=None, time="", trial="", dt=None, resample=None, start=None, end=None,
-    decimate=1, test=(),
+    decimate=1, test=(), actuators=(),
 ) -> Recording:  # fmt: skip
     """Read a recording of one path or several, its roles by name or by a YAML file; of none the `example` "duffing".
 
     "none" as a role says that there is none; ``test`` holds paths, or numbers of trials as text. A .nc file knows its
-    roles: ``states`` and ``inputs`` then choose among them.
+    roles: ``states`` and ``inputs`` then choose among them. ``actuators`` becomes the recording's attribute.
 
     Raises
     ------
@@ -41,19 +39,26 @@ def open_log(
         As `Recording.read`.
     """
     if not paths:
-        return example("duffing")
+        return _with_actuators(example("duffing"), actuators)
     paths = [paths] if isinstance(paths, (str, Path)) else list(paths)
     samples = {"dt": dt or None, "resample": resample or None, "start": start or None, "end": end or None}
     samples |= {"decimate": decimate, "test": [int(each) if str(each).isdigit() else each for each in test] or None}
     if Path(paths[0]).suffix == ".nc":
-        return Recording.read(paths, roles or None, **samples).select(states=states or None, inputs=inputs or None)
+        log = Recording.read(paths, roles or None, **samples).select(states=states or None, inputs=inputs or None)
+        return _with_actuators(log, actuators)
     by_name = {"states": states, "inputs": inputs, "time": time, "trial": trial}
     by_name = {role: columns for role, columns in by_name.items() if columns}
     if roles and by_name:
         raise ValueError(f"roles are given by {roles} and by name ({', '.join(by_name)}); give them in one way.")
     none = {"states": [], "inputs": [], "time": None, "trial": None}
     by_name = {role: none[role] if columns in ("none", ["none"]) else columns for role, columns in by_name.items()}
-    return Recording.read(paths, roles or by_name or None, **samples)
+    return _with_actuators(Recording.read(paths, roles or by_name or None, **samples), actuators)
+
+
+def _with_actuators(log, names):
+    if names:
+        log.attributes["actuators"] = [] if list(names) == ["none"] else list(names)
+    return log
 
 
 def write(identification: Identification, log: Recording, name: str, folder: str | Path) -> pd.DataFrame:
@@ -79,23 +84,17 @@ def write(identification: Identification, log: Recording, name: str, folder: str
     OSError
         If the folder cannot be written; it is then as it was, or, at worst, some files are new and others old.
     """
-    folder = Path(folder)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    stage = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
-        contents = _write_all(identification, log, name, stage)
-        _move(stage, folder)
-    finally:
-        shutil.rmtree(stage, ignore_errors=True)
-    return contents
+    with written_together(folder) as stage:
+        return _write_all(identification, log, name, stage)
 
 
 def _write_all(identification, log, name, stage):
     """Write everything into an empty folder; the table of what it holds."""
     (stage / "tables").mkdir()
     (stage / "figures").mkdir()
-    pictures = _figures(identification, stage / "figures")
-    tables = _tables(identification)
+    diagnosed = diagnosis.diagnose(identification)
+    pictures = _figures(identification, diagnosed, stage / "figures")
+    tables = _tables(identification, diagnosed)
     for key, (_, table) in tables.items():
         path = stage / "tables" / f"{key}.csv"
         table.to_csv(path, index=key == "correlation", float_format="%.10g", lineterminator="\n")
@@ -113,16 +112,15 @@ def _write_all(identification, log, name, stage):
     identification.linear.save(stage / "linear.npz")
     text = stage / "export" / "formulas.txt"
     equations = text.read_text(encoding="utf-8") if text.exists() else ""
-    html = write_page(identification, log, name, pictures, contents, failures, equations)
+    html = write_page(identification, diagnosed, log, name, pictures, contents, failures, equations)
     (stage / "report.html").write_text(html, encoding="utf-8")
-    files = sorted(path.relative_to(stage).as_posix() for path in stage.rglob("*") if path.is_file())
-    pd.DataFrame({"file": [*files, LISTING]}).to_csv(stage / LISTING, index=False, lineterminator="\n")
     return pd.DataFrame(contents, columns=["file", "what"])
 
 
-def _tables(identification):
+def _tables(identification, diagnosed):
     """Table -> (what it holds, the table)."""
     checks = identification.checks
+    tests = [each.table.assign(steps=each.steps) for each in diagnosed.tests.values() if not isinstance(each, str)]
     advice = pd.DataFrame(identification.advice, columns=["weight", "about", "text"])
     return {
         "channels": ("ranges, limits, steps and noise of every channel", checks.channels),
@@ -130,6 +128,7 @@ def _tables(identification):
         "spectra": ("spectra of every channel", checks.spectrum),
         "search": ("every candidate with its error", identification.search.drop(columns=["model"])),
         "metrics": ("the test", identification.metrics),
+        "residuals": ("tests of the residuals", pd.concat(tests, ignore_index=True) if tests else pd.DataFrame()),
         "growth": ("error against time ahead", identification.growth),
         "predictions": ("measured and predicted states over two test windows, with the band", identification.overlay),
         "eigenvalues": ("of the Koopman matrices", identification.eigenvalues),
@@ -137,7 +136,7 @@ def _tables(identification):
     }
 
 
-def _figures(identification, folder):
+def _figures(identification, diagnosed, folder):
     """Draw and save every figure: its name -> its picture for the page."""
     recording, model = identification.recording, identification.model
     names, units, inputs = list(recording.state_names), list(recording.state_units), list(recording.input_names)
@@ -151,15 +150,34 @@ def _figures(identification, folder):
         "growth": (figures.growth_figure, identification.growth),
         "spectrum": (plots.eigenvalue_figure, identification.eigenvalues),
     }
+    for key, tests in diagnosed.tests.items():
+        if not isinstance(tests, str):
+            shown = tests.correlations  # all of them are in the figure's table
+            drawings[key] = (_few_correlations, shown, [*names[:4]], ["itself", *inputs[: figures.SHOWN]])
+    if diagnosed.responses:
+        few = dict(list(diagnosis.outputs(identification).items())[:4])
+        of_inputs = dict(list(zip(inputs, recording.input_units))[: figures.SHOWN])
+        drawings["step"] = (figures.step_figure, diagnosed.responses.step, few, of_inputs)
+        few = dict(list(few.items())[: figures.SHOWN])
+        for number, source in enumerate(of_inputs.items()):
+            key = f"bode_{number + 1}" if number else "bode"
+            drawings[key] = (figures.bode_figure, diagnosed.responses.bode, few, source)
     pictures = {}
     run, table = _free_run(identification)
     save_figure(run, table, folder / "free_run")
     pictures["free_run"] = page.picture(folder, "free_run")
-    for key, (draw, table, *arguments) in drawings.items():
-        if len(table):  # no spectra of a short recording
-            save_figure(draw(table, *arguments), table, folder / key)
-            pictures[key] = page.picture(folder, key)
+    with terminal() as stream:
+        for key, (draw, table, *arguments) in tqdm(
+            drawings.items(), desc="figures", leave=False, disable=None, file=stream
+        ):
+            if len(table):  # no spectra of a short recording
+                save_figure(draw(table, *arguments), table, folder / key)
+                pictures[key] = page.picture(folder, key)
     return pictures
+
+
+def _few_correlations(table, states, others):
+    return plots.residual_figure(table[table["state"].isin(states) & table["against"].isin(others)])
 
 
 def _free_run(identification):
@@ -168,10 +186,12 @@ def _free_run(identification):
     if identification.model is identification.linear:
         del models["linear model"]
     longest = int(np.argmax(whole.lengths))
-    figure = plots.compare(whole, *models.values(), names=list(models), trajectory=longest)
     part = whole[[longest]]
+    runs = {name: np.asarray(model.predict(part)[0]) for name, model in models.items()}
+    which = f", trajectory {longest} of {len(whole)}" if len(whole) > 1 else ""
+    late = max(model.delays for model in models.values())
+    figure = plots.run_figure(part, models.values(), [run[late:] for run in runs.values()], list(models), which=which)
     table = {"time": np.arange(whole.lengths[longest]) * whole.dt}
-    runs = {name: model.predict(part)[0] for name, model in models.items()}
     for i, state in enumerate(whole.state_names):
         table |= {f"{state}: {name}": run[:, i] for name, run in {"true": part.states[0], **runs}.items()}
     return figure, pd.DataFrame(table)
@@ -210,29 +230,3 @@ def _exports(identification, stage):
     else:
         attempt("formulas, as text and as LaTeX; terms that change a row by less than 1 % are left out", text_and_latex)
     return exports, failures
-
-
-def _move(stage, folder):
-    """Move all files of ``stage`` into ``folder``, and remove those that only an earlier run has listed there."""
-    new = {path.relative_to(stage) for path in stage.rglob("*") if path.is_file()}
-    if not folder.exists():
-        stage.chmod(0o777 & ~umask())  # mkdtemp is private; a result is not
-        os.replace(stage, folder)
-        return
-    old = _listed(folder)
-    for path in sorted(new - {Path(LISTING)}):
-        (folder / path).parent.mkdir(parents=True, exist_ok=True)
-        os.replace(stage / path, folder / path)
-    for path in old - new:
-        (folder / path).unlink(missing_ok=True)
-    os.replace(stage / LISTING, folder / LISTING)
-
-
-def _listed(folder):
-    """The files that an earlier run has listed, but none outside the folder."""
-    try:
-        names = pd.read_csv(folder / LISTING)["file"].astype(str)
-    except (OSError, ValueError, KeyError):
-        return set()
-    paths = {PurePosixPath(name) for name in names}
-    return {Path(path) for path in paths if not path.is_absolute() and ".." not in path.parts and str(path) != LISTING}

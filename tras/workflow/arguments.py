@@ -105,6 +105,18 @@ def short(text: str, most: int = 40) -> str:
     return line if len(line) <= most else f"{line[: most - 1]}…"
 
 
+def percent(value) -> str:
+    """A number of percent with two digits, large ones as whole numbers.
+
+    >>> percent(0.0666), percent(131.4), percent("inf")
+    ('0.067 %', '131 %', 'lost')
+    """
+    value = float(value)
+    if not math.isfinite(value):
+        return "lost"
+    return f"{value:.0f} %" if abs(value) >= 99.5 else f"{value:.2g} %"
+
+
 def in_code(text) -> str:
     """`one_line` of text for a comment of a generated file, which it can neither leave nor open.
 

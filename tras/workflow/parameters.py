@@ -116,12 +116,20 @@ def parse_settings(settings: list[str]) -> dict:
 def check_parameters(values: dict, defaults: dict, where: str) -> dict:
     """The values (name -> value) with the types of the defaults: a whole number in place of a float is a float.
 
-    A name or a type that the defaults do not have is a ParameterError, which says ``where`` the values come from.
+    A name or a type that the defaults do not have, or a negative seed, is a ParameterError, which says ``where`` the
+    values come from.
     """
     for name in values:
         if name not in defaults:
             raise ParameterError(f"{where}: there is no parameter `{short(name)}`{did_you_mean(name, defaults)}")
-    return {name: _check(value, defaults[name], f"{where}: parameter `{name}`") for name, value in values.items()}
+    checked = {name: _check(value, defaults[name], f"{where}: parameter `{name}`") for name, value in values.items()}
+    for name, value in checked.items():
+        if "seed" in name:
+            for seed in value if isinstance(value, list) else [value]:
+                if isinstance(seed, int) and seed < 0:
+                    found = f"`{name}` is {short(repr(value), 60)}: a seed must be 0 or more"
+                    raise ParameterError(f"{where}: parameter {found}; correct the value.")
+    return checked
 
 
 def _check(value, default, name):
