@@ -65,7 +65,7 @@ def main(arguments=None):
     table = pd.DataFrame(rows)
     if options.publish:
         table.to_csv(TABLE, index=False, float_format="%.4g")
-        publish(table)
+        publish(table, bounds(log))
 
 
 def one_fold(log, fold):
@@ -220,12 +220,43 @@ def refit(train):
 # --- the page ---------------------------------------------------------------------------------------------------------
 
 
-def publish(table):
-    """The table between its marks in the page."""
-    begin, end = "<!-- rig: written by `benchmarks/real_rig.py` -->", "<!-- end of rig -->"
+def publish(table, signals):
+    """The tables between their marks in the page."""
     text = PAGE.read_text(encoding="utf-8")
-    before, after = text[: text.index(begin) + len(begin)], text[text.index(end) :]
-    PAGE.write_text(f"{before}\n{tables(table)}\n{after}", encoding="utf-8")
+    for name, lines in (("rig", tables(table)), ("bounds", signals)):
+        begin, end = f"<!-- {name}: written by `benchmarks/real_rig.py` -->", f"<!-- end of {name} -->"
+        before, after = text[: text.index(begin) + len(begin)], text[text.index(end) :]
+        text = f"{before}\n{lines}\n{after}"
+    PAGE.write_text(text, encoding="utf-8")
+
+
+def bounds(log):
+    """How much there is to learn from, per fold, and how fine it is: a table and a sentence."""
+    x, u = log.states[0], log.inputs[0]
+    edges = np.linspace(0, len(x), FOLDS + 1).astype(int)
+    columns = (
+        "fold | range of yaw, rad | range of pitch, rad | deviation of pitch, rad | commands that jump | at a limit"
+    )
+    lines = [f"| {columns} |", "| --- " * 6 + "|"]
+    ends = u.min(axis=0), u.max(axis=0)
+    for fold, (a, b) in enumerate(zip(edges[:-1], edges[1:]), 1):
+        yaw, pitch, commands = x[a:b, 0], x[a:b, 1], u[a:b]
+        jumps = np.mean(np.abs(np.diff(commands, axis=0)) > 0.25 * (ends[1] - ends[0]))
+        limits = np.mean((commands == ends[0]) | (commands == ends[1]))
+        cells = (
+            f"{np.ptp(yaw):.2f} | {np.ptp(pitch):.3f} | {pitch.std():.4f} | {100 * jumps:.0f} % | {100 * limits:.0f} %"
+        )
+        lines.append(f"| {fold} | {cells} |")
+    steps = [np.diff(np.unique(angle.round(9))) for angle in x[:, :2].T]
+    yaw, pitch = (np.median(step[step > 1e-6]) for step in steps)
+    rates = np.abs(np.diff(x[:, :2], axis=0)).mean(axis=0)
+    lines += [
+        "",
+        f"The encoders' steps are {yaw:.5f} rad (yaw) and {pitch:.5f} rad (pitch); from sample to sample the angles move by "
+        f"{rates[0]:.5f} and {rates[1]:.5f} rad on average. A command jumps where it changes by a quarter of its range or "
+        "more between two samples.",
+    ]
+    return "\n".join(lines)
 
 
 def tables(table):
