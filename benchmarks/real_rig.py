@@ -1,11 +1,11 @@
 """The real rig, from its public recording: `make identify` beside other models, blocked five-fold over its 120 s.
 
-    .venv/bin/python benchmarks/real_rig.py TRAS_2dof_exper.mat [--folds 0,1,2,3,4] [--publish]
+    .venv/bin/python benchmarks/real_rig.py TRAS_2dof_exper.mat [--folds 0,1,2,3,4] [--every 20] [--publish]
 
-The user has the file (docs/real_rig.md says from where); nothing of it is kept here. Each fifth of the recording in turn
-is the test and all models are fitted to the other four. They predict windows of 3.2 s that begin every 0.8 s, the first
-one 3.2 s after the fifth begins, from what was measured in that fifth up to then. Prints the root mean square errors of
-both angles; ``--publish`` writes them to ``results/real_rig.csv`` and into the page.
+The user has the file (docs/real_rig.md says from where); nothing of it is kept here. Each fifth of the recording in
+turn is the test and all models are fitted to the other four. They predict windows of 3.2 s that begin every 0.8 s, the
+first one 3.2 s after the fifth begins, from what was measured in that fifth up to then. Prints the root mean square
+errors of both angles; ``--publish`` writes them to ``results/real_rig.csv`` and into the page.
 """
 
 import argparse
@@ -53,6 +53,7 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("recording", type=Path)
     parser.add_argument("--folds", default="0,1,2,3,4", help="numbers of fifths, separated by commas")
+    parser.add_argument("--every", type=int, default=20, help="samples of a step of identify, 0 to let it choose")
     parser.add_argument("--publish", action="store_true", help="write results/real_rig.csv and the page's table")
     options = parser.parse_args(arguments)
     log = tras.Recording.read(options.recording, ROLES)
@@ -60,7 +61,7 @@ def main(arguments=None):
     rows = []
     for fold in map(int, options.folds.split(",")):
         with one_blas_thread():
-            rows += one_fold(log, fold)
+            rows += one_fold(log, fold, options.every or None)
         print(pd.DataFrame(rows).query("fold == @fold").to_string(index=False), flush=True)
     table = pd.DataFrame(rows)
     if options.publish:
@@ -68,8 +69,11 @@ def main(arguments=None):
         publish(table, bounds(log))
 
 
-def one_fold(log, fold):
-    """Rows of the table: fold, method, yaw, pitch (root mean squares in rad), model (in words), seconds (to make it)."""
+def one_fold(log, fold, every):
+    """Rows of the table: fold, method, yaw, pitch (root mean squares in rad), model (in words), seconds (to make it).
+
+    ``every`` is the length of the step of `tras.identify` in samples, None if it is to choose.
+    """
     x, u = log.states[0], log.inputs[0]
     first, last = np.linspace(0, len(x), FOLDS + 1).astype(int)[[fold, fold + 1]]
     parts = [(x[:first], u[:first]), (x[last:], u[last:])]
@@ -81,12 +85,11 @@ def one_fold(log, fold):
         miss = np.stack([predict(start) - test.states[0][start : start + WINDOW + 1, :2] for start in starts])[:, 1:]
         yaw, pitch = np.sqrt(np.mean(miss**2, axis=(0, 1)))
         seconds = time.process_time() - begun
-        rows.append(
-            {"fold": fold + 1, "method": method, "yaw": yaw, "pitch": pitch, "model": words, "seconds": seconds}
-        )
+        row = {"fold": fold + 1, "method": method, "yaw": yaw, "pitch": pitch, "model": words, "seconds": seconds}
+        rows.append(row)
 
     add(PERSISTENCE, lambda k: np.tile(test.states[0][k, :2], (WINDOW + 1, 1)), "", time.process_time())
-    begun, rig = time.process_time(), RotorParameters.maker()
+    begun, rig = time.process_time(), makers_rig()
     add(MAKER, lambda k: grey_box(rig, test, [k])[:, :, 0], "", begun)
     begun = time.process_time()
     refitted = refit(train)
@@ -95,7 +98,7 @@ def one_fold(log, fold):
     arx = best_arx(train)
     add(ARX, lambda k: roll_out(arx, test, k), f"{arx.delays + 1} samples, lead {arx.lead}", begun)
     begun = time.process_time()
-    identification = tras.identify(train, horizon=WINDOW * log.dt, draws=0)
+    identification = tras.identify(train, horizon=WINDOW * log.dt, every=every, draws=0)
     for method, model in ((LINEAR, identification.linear), (IDENTIFY, identification.delivered)):
         if method == LINEAR:  # like the delivered one, fitted to all that is no test here
             model = clone(model).set_params(strength=float(model.strength_)).fit(stepped(train, model))
@@ -180,9 +183,15 @@ def grey_box(rig, recording, starts):
     return np.stack(fine, axis=1).reshape(WINDOW + 1, 2, len(starts))
 
 
+def makers_rig():
+    """The maker's set; but on the rig a main command turns yaw the other way than in the public model."""
+    rig = RotorParameters.maker()
+    return replace(rig, reaction_psi=-rig.reaction_psi)
+
+
 def with_factors(theta):
     """The maker's set with factors and thrusts' offsets (15,)."""
-    rig, theta = RotorParameters.maker(), list(theta)
+    rig, theta = makers_rig(), list(theta)
     values = {}
     for name in FACTORS:
         value, factor = getattr(rig, name), theta.pop(0)
@@ -199,7 +208,7 @@ def refit(train):
     theta = np.array([1.0] * (len(FACTORS) + len(FACTORS_OF_BODY)) + [0.0, 0.0])
     windows = []
     for x, u in train:
-        starts = np.arange(RECENT, len(x) - WINDOW, BETWEEN)
+        starts = np.arange(RECENT, len(x) - WINDOW, 2 * BETWEEN)
         truth = np.stack([x[k : k + WINDOW + 1, :2] for k in starts], axis=2)[::COARSE]
         windows.append((train.with_data([x], [u]), starts, truth))
 
@@ -213,7 +222,7 @@ def refit(train):
     low = np.array([0.1] * (len(theta) - 2) + [-0.1, -0.1])
     high = np.array([10.0] * (len(theta) - 2) + [0.1, 0.1])
     scale = np.array([1.0] * (len(theta) - 2) + [0.01, 0.01])
-    fit = least_squares(misses, theta, bounds=(low, high), x_scale=scale, loss="huber", max_nfev=25)
+    fit = least_squares(misses, theta, bounds=(low, high), x_scale=scale, loss="huber", max_nfev=12)
     return with_factors(fit.x)
 
 
@@ -233,30 +242,25 @@ def publish(table, signals):
 def bounds(log):
     """How much there is to learn from, per fold, and how fine it is: a table and a sentence."""
     x, u = log.states[0], log.inputs[0]
-    edges = np.linspace(0, len(x), FOLDS + 1).astype(int)
-    columns = (
-        "fold | range of yaw, rad | range of pitch, rad | deviation of pitch, rad | commands that jump | at a limit"
-    )
-    lines = [f"| {columns} |", "| --- " * 6 + "|"]
-    ends = u.min(axis=0), u.max(axis=0)
+    edges, low, high = np.linspace(0, len(x), FOLDS + 1).astype(int), u.min(axis=0), u.max(axis=0)
+    columns = "fold", "range of yaw, rad", "range of pitch, rad", "deviation of pitch, rad", "jumps", "at a limit"
+    lines = [f"| {' | '.join(columns)} |", "| --- " * len(columns) + "|"]
     for fold, (a, b) in enumerate(zip(edges[:-1], edges[1:]), 1):
         yaw, pitch, commands = x[a:b, 0], x[a:b, 1], u[a:b]
-        jumps = np.mean(np.abs(np.diff(commands, axis=0)) > 0.25 * (ends[1] - ends[0]))
-        limits = np.mean((commands == ends[0]) | (commands == ends[1]))
-        cells = (
-            f"{np.ptp(yaw):.2f} | {np.ptp(pitch):.3f} | {pitch.std():.4f} | {100 * jumps:.0f} % | {100 * limits:.0f} %"
-        )
-        lines.append(f"| {fold} | {cells} |")
+        jumps = np.mean(np.abs(np.diff(commands, axis=0)) > (high - low) / 4)
+        limits = np.mean((commands == low) | (commands == high))
+        cells = [f"{np.ptp(yaw):.2f}", f"{np.ptp(pitch):.3f}", f"{pitch.std():.4f}"]
+        cells += [f"{100 * jumps:.0f} %", f"{100 * limits:.0f} %"]
+        lines.append(f"| {fold} | {' | '.join(cells)} |")
     steps = [np.diff(np.unique(angle.round(9))) for angle in x[:, :2].T]
     yaw, pitch = (np.median(step[step > 1e-6]) for step in steps)
     rates = np.abs(np.diff(x[:, :2], axis=0)).mean(axis=0)
-    lines += [
-        "",
-        f"The encoders' steps are {yaw:.5f} rad (yaw) and {pitch:.5f} rad (pitch); from sample to sample the angles move by "
-        f"{rates[0]:.5f} and {rates[1]:.5f} rad on average. A command jumps where it changes by a quarter of its range or "
-        "more between two samples.",
+    words = [
+        f"The encoders' steps are {yaw:.5f} rad (yaw) and {pitch:.5f} rad (pitch).",
+        f"From sample to sample the angles move by {rates[0]:.5f} and {rates[1]:.5f} rad on average.",
+        "Jumps are the samples in which a command changes by a quarter of its range or more.",
     ]
-    return "\n".join(lines)
+    return "\n".join([*lines, "", " ".join(words)])
 
 
 def tables(table):
