@@ -176,6 +176,7 @@ _SLOPES = {
     "cosh": lambda a, f: a.sinh(),
     "tanh": lambda a, f: 1 - f * f,
     "sqrt": lambda a, f: 0.5 / f,
+    "abs": lambda a, f: a / (f + 1e-300),  # the sign, and 0 at 0
 }
 
 
