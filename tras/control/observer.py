@@ -34,8 +34,8 @@ class Observer:
         Names of the inputs or states that a disturbance is added to; default the inputs. ``[]``: there is none.
     noise : float, sequence or mapping, optional
         Standard deviation of the noise of each of them, in its unit (`tras.noise_level` estimates it). Default: a
-        thousandth of the half-range of the data; next to nothing where all states are measured, so that a controller
-        acts on what is measured.
+        thousandth of the half-range of the data; next to nothing where all states of a model without delays are
+        measured, so that a controller acts on what is measured.
     process : float, sequence or mapping, optional
         Standard deviation of what else acts on each input for one sample, in its unit: the larger, the more a
         measurement counts and the less the model. Default: a tenth of the half-range. The states have the residual of
@@ -90,7 +90,7 @@ class Observer:
         self._place_disturbances(disturbed)
         n, count, m = len(c.state_names), len(c.z_scale), len(c.input_names)
         size = count + len(self.disturbed)
-        everything = set(self.measured) == set(c.state_names)
+        everything = set(self.measured) == set(c.state_names) and not c.delays  # delays are for what is not measured
         least = (_EXACT if everything else _NOISE) * c.x_scale[self._rows]
         self.noise = per_channel("noise", noise, self.measured, least)
         self.process = per_channel("process", process, c.input_names, _GUSTS * c.u_scale)
