@@ -21,7 +21,7 @@ endif
 # as the name of a file: `override` keeps make from reading $(...) in it, here, before anything else could; the shell has it by `export`.
 IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL TEST FROM TO DECIMATE DT RESAMPLE PREDICTOR DELAYS SMOOTHING LEAD EVERY ACTUATORS HORIZON DRAWS
 CONTROL := OUT SETTINGS
-TYPED := $(foreach name,RECORDING MODEL $(sort $(IDENTIFY) $(CONTROL)),$(if $(and $(filter command,$(origin $(name))),$(value $(name))),$(name)))
+TYPED := $(foreach name,RECORDING MODEL $(IDENTIFY) $(filter-out $(IDENTIFY),$(CONTROL)),$(if $(and $(filter command,$(origin $(name))),$(value $(name))),$(name)))
 $(foreach name,$(TYPED),$(eval override $(name) := $$(value $(name)))$(eval export $(name)))
 
 # The same bits on every run: sums depend on the number of BLAS threads, and on what BLAS and NumPy choose for the processor.

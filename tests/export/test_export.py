@@ -14,9 +14,9 @@ from scipy.io import loadmat, savemat
 from sklearn.base import clone
 
 import tras
-from tras import predictors
 from tras.analysis.linearization import StateSpace
 from tras.export import common, symbols
+from tras.predictors import PREDICTORS
 
 CC = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 OCTAVE = shutil.which("octave-cli") or shutil.which("octave")
@@ -27,7 +27,7 @@ needs_octave = pytest.mark.skipif(
     OCTAVE is None, reason="GNU Octave is not installed (apt-get install octave), so the .m files cannot be run here"
 )
 
-PREDICTORS = ["vector_field", "one_step", "lifted_linear"]
+KINDS = ["vector_field", "one_step", "lifted_linear"]
 SHIPPED = {
     "Monomials": tras.Monomials(2),
     "Exponentials": tras.Exponentials(),
@@ -39,8 +39,8 @@ SHIPPED = {
     "Union": tras.Union(tras.Monomials(2), tras.GaussianRBF(4)),
     "Product": tras.Product(tras.Fourier(), tras.Monomials(1)),
 }
-CASES = [(name, predictor, 0, "linear") for name in SHIPPED for predictor in PREDICTORS]
-CASES += [(name, predictor, 2, "linear") for name in ("Monomials", "GaussianRBF") for predictor in PREDICTORS]
+CASES = [(name, predictor, 0, "linear") for name in SHIPPED for predictor in KINDS]
+CASES += [(name, predictor, 2, "linear") for name in ("Monomials", "GaussianRBF") for predictor in KINDS]
 CASES += [("Monomials", "vector_field", 0, "functions"), ("ThinPlate", "one_step", 1, "functions")]
 SOME = [case for case in CASES if case[0] == "Monomials" and not case[2] or case[0] == "GaussianRBF" and case[2]]
 SOME += [
@@ -155,7 +155,7 @@ def test_c_predicts_what_python_predicts(case, fitted, experiment, tmp_path):
 
 
 @needs_cc
-@pytest.mark.parametrize("predictor", PREDICTORS)
+@pytest.mark.parametrize("predictor", KINDS)
 def test_c_of_a_system_without_inputs(predictor, tmp_path):
     recording = ode_recording(lambda x, u: [x[1], -x[0] - 0.1 * x[0] ** 3], 0.2, n=2)
     model = tras.KoopmanModel(tras.Monomials(2), predictor, delays=0, strength=0.0).fit(recording)
@@ -194,30 +194,31 @@ def differences(function, point, step=1e-4):
 @needs_cc
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_c_has_the_exact_slopes_of_its_step(case, fitted, experiment, tmp_path):
-    """What differences of the step tend to, on both sides of the hull's edge, through all substeps and shifts.
-
-    With delays the hull is thinner than a step of the differences; then they are those of Python.
-    """
+    """Those of Python, and what differences of the step tend to: through substeps, shifts and the hull's edges."""
     model = fitted(*case)
     call = compiled(model, tmp_path / "rig.c", slopes=True)
     x0, inputs = runs(model, experiment, model.delays + 2)
     m, linear = len(model.u_scale_), model.predictor == "lifted_linear"
     for x, u in zip(stacked(model, x0, inputs)[::5], inputs[::5, model.delays]):
+        channels = np.concatenate(model.channels_.points(x, u))[:, None]
         x = call("rig_lift", len(model.names_), x) if linear else x
         count = len(x)
         scale = np.ones(count) if linear else model.channels_.z_scale
         scales = np.concatenate([scale, model.u_scale_])
+
+        def step(point, scale=scale, scales=scales, count=count):
+            return call("rig_step", count, point[:count] * scale, point[count:] * scales[count:]) / scale
+
         following, by_x, by_u = call("rig_slopes", (count, count**2, count * m), x, u)
-        step = lambda point: call("rig_step", count, point[:count] * scale, point[count:] * scales[count:]) / scale  # noqa: E731, B023
         assert np.allclose(following / scale, step(np.concatenate([x, u]) / scales), rtol=1e-12, atol=1e-12)
         computed = np.hstack([by_x.reshape(count, count), by_u.reshape(count, m)]) * scales / scale[:, None]
-        if model.delays and not linear:
-            c = model.channels_
-            z, v = (x - c.z_offset) / c.z_scale, (u - c.u_offset) / c.u_scale
-            expected = predictors.PREDICTORS[model.predictor].advance_with_slopes(model)(z[:, None], v[:, None])[1][0]
-        else:
+        if not linear:
+            advance = PREDICTORS[model.predictor].advance_with_slopes(model)
+            expected = advance(channels[:count], channels[count:])[1][0]
+            assert np.abs(computed - expected).max() <= 1e-10 * max(1.0, np.abs(expected).max())
+        if linear or not model.delays:  # with delays the hull is thinner than a difference is wide
             expected = differences(step, np.concatenate([x, u]) / scales)
-        assert np.abs(computed - expected).max() <= 1e-8 * max(1.0, np.abs(expected).max())
+            assert np.abs(computed - expected).max() <= 1e-8 * max(1.0, np.abs(expected).max())
 
 
 @needs_cc
@@ -225,9 +226,8 @@ def test_c_has_the_slopes_of_the_dictionarys_own_jacobian(fitted, experiment, tm
     """And with one_step no substeps stand between them."""
     for name in SHIPPED:
         model = fitted(name, "one_step", 0, "linear")
-        folder = tmp_path / name
-        folder.mkdir()
-        call = compiled(model, folder / "rig.c", slopes=True)
+        (tmp_path / name).mkdir()
+        call = compiled(model, tmp_path / name / "rig.c", slopes=True)
         point = model.x_offset_ + 0.1 * model.x_scale_, model.u_offset_ - 0.1 * model.u_scale_
         z, v = model.channels_.points(*point)
         assert model.hull_.nearest(np.concatenate([z, v])[:, None]).ravel().tolist() == [*z, *v]
@@ -547,8 +547,8 @@ def test_the_pages_examples_run(experiment, tmp_path, monkeypatch):
     namespace = {"recording": experiment[:4].select(inputs=["u_phi", "u_psi"])}
     exec("\n".join(blocks), namespace)
     names = {path.name for path in tmp_path.iterdir()}
-    files = {"rig.mat", "rig_step.m", "rig_field.m", "rig.c", "rig.h", "flight.c", "flight.h"}
-    assert len(blocks) == 6 and names == files
+    assert len(blocks) == 6
+    assert names == {"rig.mat", "rig_step.m", "rig_field.m", "rig.c", "rig.h", "flight.c", "flight.h"}
     if CC:
         (tmp_path / "main.c").write_text(re.search(r"```c\n(.*?)```", page, re.DOTALL)[1])
         subprocess.run(

@@ -292,7 +292,7 @@ def test_results_do_not_replace_files_of_others(tmp_path, monkeypatch, capsys, s
     (tmp_path / "killed" / "my notes.txt").touch()
     for folder, words in {
         "/": "no folder for results", "~": "no folder for results", "home": "no folder for results",
-        "mine": "holds files of others, such as notes.txt; give a new folder, such as OUT=mine/identified",
+        "mine": "holds files of others, such as notes.txt; give a new folder, such as OUT=mine/results",
         "listed": "holds files of others, such as contents.csv", ".": "holds files of others",
         "run2/log.csv": "is a file",
     }.items():  # fmt: skip
