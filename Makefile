@@ -75,7 +75,7 @@ OUT_07 := $(addprefix $(DATA)/,comparison.csv comparison_tuning.csv comparison_d
   $(foreach kind,pdf svg png csv,$(addprefix $(FIGURES)/,comparison_window.$(kind) comparison_horizon.$(kind) comparison_data.$(kind)))
 OUT_08 := $(DATA)/claims.csv
 OUT_09 := $(addprefix $(FIGURES)/,animation.gif animation.csv $(foreach kind,pdf svg png csv,portrait.$(kind)))
-OUT_11 := $(DATA)/control.csv $(addprefix $(FIGURES)/,control_film.gif control_film.csv $(foreach kind,pdf svg png csv,control_tracking.$(kind) control_disturbance.$(kind)))
+OUT_11 := $(DATA)/control.csv $(DATA)/control_motors.csv $(addprefix $(FIGURES)/,control_film.gif control_film.csv $(foreach kind,pdf svg png csv,control_tracking.$(kind) control_disturbance.$(kind)))
 
 PAPER_OUTPUTS := $(OUT_01) $(OUT_02) $(OUT_03) $(OUT_04)
 STUDY_OUTPUTS := $(OUT_05) $(OUT_06) $(OUT_07) $(OUT_08) $(OUT_09) $(OUT_11)

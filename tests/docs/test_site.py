@@ -88,6 +88,8 @@ def study_tables(root, rng):
     controllers = ("PID", "MPC, linear", "MPC, the paper's", "MPC, mechanical", "MPC, true plant")
     rows = [(name, name != "PID", "fast", "calm", 0.01 * i, 0.02) for i, name in enumerate(controllers)]
     write(data / "control.csv", "controller preview reference condition yaw pitch", rows)
+    rows = [(name, gust, 0.1, 0.2) for name in controllers for gust in (0.0, 0.01)]
+    write(data / "control_motors.csv", "controller gust yaw pitch", rows)
 
 
 def claim_rows():

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
-from test_plans import runs as flights
+import test_plans
 
 import tras
 from tras import generator
@@ -337,7 +337,7 @@ def test_the_linearisation_is_the_plants():
 @pytest.fixture(scope="module")
 def judged():
     tables = {"comparison": comparison(), "readings": grid(with_torque), "around": around(), "metrics": metrics()}
-    tables |= {"length": length((0.0, 0.0), (0.9, 0.1)), "control": flights()}
+    tables |= {"length": length((0.0, 0.0), (0.9, 0.1)), "control": test_plans.runs(), "motors": test_plans.flights()}
     return claims.evaluate(tables, {"exact": Known(tras.PlantParameters())})
 
 

@@ -39,11 +39,17 @@ def runs(**changed):
     return pd.DataFrame(rows)
 
 
+def flights(ours=0.05, gust=0.01):
+    """A table like that of the motors."""
+    cases = [("PID", 0.5), (OURS, ours)]
+    return pd.DataFrame([{"controller": name, "gust": gust, "yaw": error, "pitch": error} for name, error in cases])
+
+
 def test_all_is_met():
-    asked = plans.judged(runs())
-    assert asked["met"].all() and len(asked) == 7
+    asked = plans.judged(runs(), flights())
+    assert asked["met"].all() and len(asked) == 8
     assert list(asked["ours"])[:3] == ["1.01", "19.8", "0.64 s (PID 3.30 s)"]
-    assert claims.customized(runs())["verdict"] == claims.SHOWN
+    assert claims.customized(runs(), flights())["verdict"] == claims.SHOWN
 
 
 @pytest.mark.parametrize(
@@ -54,17 +60,25 @@ def test_all_is_met():
     ],
 )  # fmt: skip
 def test_each_criterion_follows_its_own_number(number, changed):
-    asked = plans.judged(runs(**changed))
+    judge_one(number, runs(**changed), flights())
+
+
+def judge_one(number, table, motors):
+    asked, row = plans.judged(table, motors), claims.customized(table, motors)
     assert list(asked.index[~asked["met"]]) == [number]
-    row = claims.customized(runs(**changed))
     assert row["verdict"] == claims.SHOWN_IN_PART and row["reading"] == f"not met: {asked['asked'][number]}"
-    assert row["evidence"].count(", met") == 6 and row["evidence"].count(", not met") == 1
+    assert row["evidence"].count(", met") == 7 and row["evidence"].count(", not met") == 1
+
+
+@pytest.mark.parametrize("motors", [flights(0.26), flights(gust=0.0), flights().iloc[:0]])
+def test_motors_count_under_gusts(motors):
+    judge_one(7, runs(), motors)
 
 
 def test_what_was_not_tried_is_not_met():
     table = runs()
-    without = plans.judged(table[~table["condition"].isin(["constant torque", "noise", "rig"])])
+    without = plans.judged(table[~table["condition"].isin(["constant torque", "noise", "rig"])], flights())
     assert list(without.index[~without["met"]]) == [4, 5, 6]
-    nothing = plans.judged(table[table["controller"] == "PID"])
-    assert list(nothing.index[nothing["met"]]) == [3]
-    assert claims.customized(table.iloc[:0])["verdict"] == claims.NOT_SHOWN
+    nothing = plans.judged(table[table["controller"] == "PID"], flights())
+    assert list(nothing.index[nothing["met"]]) == [3, 7]
+    assert claims.customized(table.iloc[:0], flights().iloc[:0])["verdict"] == claims.NOT_SHOWN

@@ -45,7 +45,8 @@ def evaluate(tables: dict[str, pd.DataFrame], models: dict) -> pd.DataFrame:
     ----------
     tables : dict of str to pandas.DataFrame
         ``readings`` and ``around`` (06_readings), ``metrics`` (03_validation), ``length`` (robustness_length of
-        05_robustness), ``comparison`` (07_comparison), ``control`` (11_control).
+        05_robustness), ``comparison`` (07_comparison), ``control`` and ``motors``
+        (control_motors) of 11_control.
     models : dict of str to KoopmanModel
         Vector fields with torques as input, of 02_identification; the first is the paper's dictionary.
 
@@ -55,8 +56,8 @@ def evaluate(tables: dict[str, pd.DataFrame], models: dict) -> pd.DataFrame:
         One row per claim, columns `COLUMNS`. ``value, low, high`` belong to ``quantity``; low and high are the extremes
         over seeds or cases.
     """
-    names = ("readings", "around", "metrics", "length", "comparison", "control")
-    grid, around, metrics, length, comparison, runs = (tables[name] for name in names)
+    names = ("readings", "around", "metrics", "length", "comparison", "control", "motors")
+    grid, around, metrics, length, comparison, runs, flights = (tables[name] for name in names)
     claims = (
         ("yaw NRMSE is 4.0589 %", nrmse(grid, around, "yaw")),
         ("pitch NRMSE is 5.5889 %", nrmse(grid, around, "pitch")),
@@ -69,7 +70,7 @@ def evaluate(tables: dict[str, pd.DataFrame], models: dict) -> pd.DataFrame:
         ("cost grows with the dimension, a fitting basis mitigates it", cost(grid, metrics)),
         ("it lays the ground for control", control(models, runs)),
     )
-    future = (("F2", "customized control plans", customized(runs)),)
+    future = (("F2", "customized control plans", customized(runs, flights)),)
     rows = [(f"C{i}", *claim) for i, claim in enumerate(claims, 1)] + [*future]
     rows = [{"claim": name, "statement": statement, **row} for name, statement, row in rows]
     return pd.DataFrame(rows)[list(COLUMNS)]
@@ -335,15 +336,17 @@ def control(models: dict, runs: pd.DataFrame) -> dict:
     return _row(verdict, quantity, [own, min(rates.values()), max(rates.values())], evidence)
 
 
-def customized(runs: pd.DataFrame) -> dict:
+def customized(runs: pd.DataFrame, flights: pd.DataFrame) -> dict:
     """F2: closed loops of the true plant under controllers from identified models; `tras.paper.plans` says what counts.
 
     Parameters
     ----------
     runs : pandas.DataFrame
         One row per closed loop, as `tras.paper.control.run` gives it.
+    flights : pandas.DataFrame
+        Those with motor commands, as `tras.paper.motors.fly` gives them.
     """
-    asked, to_plant = plans.judged(runs), plans.ratios(runs).to_numpy()
+    asked, to_plant = plans.judged(runs, flights), plans.ratios(runs).to_numpy()
     parts = [f"{what}: {value}, {'met' if met else 'not met'}" for what, value, met in asked.itertuples(index=False)]
     intro = "MPC with the mechanical dictionary, identified from the paper's recording, on the true plant"
     verdict = SHOWN if asked["met"].all() else SHOWN_IN_PART if asked["met"].any() else NOT_SHOWN

@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pandas as pd
 
+from tras.paper import motors
 from tras.paper.control import BOUND, OURS
 
 AS_THE_PLANT = 1.05  # times the error of the same controller with the true plant
@@ -16,6 +17,7 @@ SETTLED = 1.1  # s, after a step of yaw without preview
 BEYOND = 1e-9  # N m, of a torque beyond its limit
 STEADY = 1e-3  # rad, under a constant unknown torque
 BY_ANGLES = 1.5  # times the error with all states measured, with noise
+OF_THE_PID = 0.5  # times its error, with motor commands under gusts
 MULTISINES = ["paper", "fast"]
 _ANGLES, _WHOLE = ["yaw", "pitch"], ["yaw_whole", "pitch_whole"]
 
@@ -34,13 +36,15 @@ def by_angles(runs: pd.DataFrame) -> np.ndarray:
     return few / everything
 
 
-def judged(runs: pd.DataFrame) -> pd.DataFrame:
+def judged(runs: pd.DataFrame, flights: pd.DataFrame) -> pd.DataFrame:
     """Each criterion, its number, and whether it is met; what was not tried is not met.
 
     Parameters
     ----------
     runs : pandas.DataFrame
         As from `tras.paper.control.run`.
+    flights : pandas.DataFrame
+        As from `tras.paper.motors.fly`.
 
     Returns
     -------
@@ -57,7 +61,7 @@ def judged(runs: pd.DataFrame) -> pd.DataFrame:
     steady = _extreme(ours.loc[ours["condition"] == "constant torque", "steady"])
     of_noise = by_angles(runs)
     rigs = ours[ours["condition"] == "rig"]
-    lost = int(rigs["diverged"].sum())
+    lost, in_gusts = int(rigs["diverged"].sum()), motors.of_pid(flights)
     rows = [
         (f"at most {AS_THE_PLANT:g} times the error of the same MPC with the true plant, on every reference, with "
          "preview and without, over whole runs", f"{to_plant:.4g}", to_plant <= AS_THE_PLANT),
@@ -71,6 +75,8 @@ def judged(runs: pd.DataFrame) -> pd.DataFrame:
         (f"with noise, angles alone cost at most {BY_ANGLES:g} times the error with all states, yaw / pitch",
          " / ".join(f"{value:.3g}" for value in of_noise), _extreme(of_noise, np.max) <= BY_ANGLES),
         ("no rig with other parameters diverges", f"{lost} of {len(rigs)} diverge", len(rigs) > 0 and not lost),
+        (f"six states, motor commands, gusts: at most {OF_THE_PID:g} times the PID's error",
+         f"{in_gusts:.2g}", in_gusts <= OF_THE_PID),
     ]  # fmt: skip
     return pd.DataFrame(rows, columns=["asked", "ours", "met"])
 
