@@ -19,7 +19,7 @@ endif
 
 # What `make identify` takes. Only what stands on the command line: TEST, FROM and TIME may be in anybody's environment. It is text, such
 # as the name of a file: `override` keeps make from reading $(...) in it, here, before anything else could; the shell has it by `export`.
-IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL TEST FROM TO DECIMATE DT RESAMPLE PREDICTOR DELAYS SMOOTHING LEAD HORIZON DRAWS
+IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL TEST FROM TO DECIMATE DT RESAMPLE PREDICTOR DELAYS SMOOTHING LEAD ACTUATORS HORIZON DRAWS
 TYPED := $(foreach name,RECORDING $(IDENTIFY),$(if $(and $(filter command,$(origin $(name))),$(value $(name))),$(name)))
 $(foreach name,$(TYPED),$(eval override $(name) := $$(value $(name)))$(eval export $(name)))
 
@@ -118,7 +118,7 @@ sweep: $(READY) ## explore |  | many fits: SWEEP=params/sweeps/dictionaries.yaml
 	@$(PY) -m tras.sweeps.command $(SWEEP) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
 # RECORDING=log.csv, "a.csv b.csv" or "run*.csv", and where names are not plain ROLES=roles.yaml or STATES=a,b INPUTS=c TIME=t TRIAL=run; also
-# TEST= FROM= TO= DECIMATE= DT= RESAMPLE= PREDICTOR= DELAYS= SMOOTHING= LEAD= HORIZON= DRAWS= OUT= (docs/own_rig.md).
+# TEST= FROM= TO= DECIMATE= DT= RESAMPLE= PREDICTOR= DELAYS= SMOOTHING= LEAD= ACTUATORS= HORIZON= DRAWS= OUT= (docs/own_rig.md).
 lower = $(shell printf %s "$(1)" | tr A-Z a-z)
 
 identify: $(READY) ## your rig | 15 s | a model of your own system: make identify RECORDING=log.csv (docs/own_rig.md)

@@ -83,6 +83,11 @@ class Channels:
     def z_scale(self) -> np.ndarray:
         return self._over_delays(self.x_scale, self.u_scale)
 
+    @property
+    def origin(self) -> np.ndarray:
+        """Where the zeros of all channels (n' + m,) lie in their scaled values."""
+        return np.concatenate([-self.z_offset / self.z_scale, -self.u_offset / self.u_scale])
+
     def _over_delays(self, of_states, of_inputs):
         return np.concatenate(
             [np.tile(of_states, self.delays + 1), np.tile(of_inputs, self.delays * self.delayed_inputs)]

@@ -62,7 +62,8 @@ class Fit:
         new.channels = Channels.of(recording, ranges, options.delays, predictor.delays_inputs, options.lead)
         x, u = (np.concatenate(part) for part in zip(*new.channels.scaled(recording)))
         new.lifts_inputs, new.rows = predictor.lifts_inputs, predictor.rows(options.columns)
-        new.dictionary = clone(options.dictionary).fit(x, u if new.lifts_inputs else None)
+        origin = new.channels.origin if new.lifts_inputs else new.channels.origin[: x.shape[1]]
+        new.dictionary = clone(options.dictionary).fit(x, u if new.lifts_inputs else None, origin)
         lifted = new.channels.z_names + new.lifts_inputs * list(new.channels.input_names)
         new.names = new.dictionary.feature_names(lifted)
         new.confines = options.extrapolation == "linear" and new.lifts_inputs and new.tail > 0

@@ -55,7 +55,7 @@ _PARAMETERS = {
     "seed": lambda value: value is None or _whole(value, 0),
     "centres": lambda value: value is None or value in CENTRES,
     **dict.fromkeys(
-        ("positions", "velocities", "shape"),
+        ("positions", "velocities", "shape", "actuators"),
         lambda value: value is None or isinstance(value, list) and all(_whole(item, 0) for item in value),
     ),
     "parts": lambda value: value is None,  # they are stored beside
@@ -242,7 +242,9 @@ def _pack(dictionary, place, arrays):
     for key, value in dictionary.get_params(deep=False).items():
         if isinstance(value, np.generic):
             value = value.item()
-        if key in ("positions", "velocities", "shape") and value is not None:
+        if key == "actuators" and value is None:
+            continue  # then the file is as earlier releases write and read it
+        if key in ("positions", "velocities", "shape", "actuators") and value is not None:
             value = [int(i) for i in value]
         # What the parts, a Generator or an array of centres led to is among the learnt.
         header["parameters"][key] = (
@@ -293,6 +295,8 @@ def _learnt(arrays, place, dictionary, channels):
         shapes["kept_"] = (None,)
     elif "centres" in dictionary.get_params(deep=False):
         shapes |= {"centres_": (None, sum(channels)), "width_": ()}
+    elif getattr(dictionary, "actuators", None):
+        shapes["origin_"] = (sum(channels),)
     values = {key.rpartition(".")[2]: value for key, value in arrays.items()}
     if set(values) != set(shapes):
         raise ValueError(f"it lacks what its dictionary {type(dictionary).__name__} has learnt, or has more")

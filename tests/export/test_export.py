@@ -34,6 +34,7 @@ SHIPPED = {
     "GaussianRBF": tras.GaussianRBF(12, width="auto", centres="kmeans"),
     "ThinPlate": tras.ThinPlate(9, centres="data"),
     "Mechanical": tras.Mechanical(4),
+    "Mechanical with actuators": tras.Mechanical(2, actuators=[2, 3]),
     "Union": tras.Union(tras.Monomials(2), tras.GaussianRBF(4)),
     "Product": tras.Product(tras.Fourier(), tras.Monomials(1)),
 }

@@ -36,12 +36,16 @@ class Dictionary(BaseEstimator):
         Names them.
     """
 
-    def fit(self, x: ArrayLike, u: ArrayLike | None = None) -> "Dictionary":
-        """Learn what the dictionary needs (the number of channels; centres) from samples (..., n) and (..., m)."""
+    def fit(self, x: ArrayLike, u: ArrayLike | None = None, origin: ArrayLike | None = None) -> "Dictionary":
+        """Learn what the dictionary needs (the number of channels; centres) from samples (..., n) and (..., m).
+
+        ``origin`` (n + m,) says where the zeros of the channels lie in their scaled values; 0 by default.
+        """
         x, u = _samples(x, u)
         for name in [name for name in vars(self) if name.endswith("_")]:
             delattr(self, name)  # what an earlier fit learnt
         self.n_states_, self.n_inputs_ = x.shape[-1], u.shape[-1]
+        self._origin = np.zeros(x.shape[-1] + u.shape[-1]) if origin is None else np.asarray(origin, dtype=float)
         self._learn(_columns(x, u))
         return self.restore()
 

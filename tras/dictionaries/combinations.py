@@ -26,7 +26,7 @@ class _Combination(Dictionary):
                 f"parts is {self.parts!r}; give dictionaries, for example Union(Monomials(2), GaussianRBF(10))."
             )
         x, u = z[: self.n_states_].T, z[self.n_states_ :].T
-        self.parts_ = [clone(part).fit(x, u) for part in self.parts]
+        self.parts_ = [clone(part).fit(x, u, self._origin) for part in self.parts]
         # Functions that two parts share must not come twice: they are recognised by their values at random points.
         points = np.random.default_rng(0).uniform(-1, 1, (len(z), 7))
         fingerprints, indices = set(), []

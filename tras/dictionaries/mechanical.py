@@ -9,6 +9,17 @@ import numpy as np
 from tras.dictionaries.base import Dictionary
 from tras.workflow import arguments
 
+# Force of an actuator by its speed, beside the linear one: power -> how much lower the degree of its shape is.
+_FORCES = {2: 3, 3: 3, 4: 5, 5: 6}
+_SWITCHED = 2  # the same of the force with the sign of the speed, w|w|, and of what an input adds by itself
+_DRAG = 8  # highest power of an actuator's own drag
+_COMMAND = 7  # highest power of an input in its static curve
+_SPRING = 3  # degree of the shape, at most, with a spring that is not as stiff on both sides
+_GYRATION = 2  # degree of the shape, at most, with an actuator's speed times a velocity
+_INFLOW = 2  # the same with the square of that speed
+_INSIDE = 0.8  # a zero farther out than this, in half-ranges, is as good as an end of the range
+_SIGNED, _SIZE = 0, -1  # of a bend, where others are the degree of a polynomial: z|z| and |z| from the channel's zero
+
 
 class Mechanical(Dictionary):
     """Functions of the shape times {1, inputs, velocities, other positions, products of two velocities}.
@@ -19,15 +30,28 @@ class Mechanical(Dictionary):
     polynomials up to a high degree (Chebyshev, well conditioned on [-1, 1]) and everything else no more than mechanics
     allows. For the twin rotor (shape: pitch) N = 81.
 
+    With *actuators*, states such as the speeds w of rotors, the forces are functions of these: polynomials of degree
+    five and ``w|w|``, times functions of the shape; speeds and their squares times velocities (gyroscopic torques,
+    inflow). An actuator follows its command with dynamics of its own, ``dw/dt = f(u) - h(w)``: both curves get
+    polynomials by themselves, and ``u|u|``. An input acts on the body too, as the reaction to ``dw/dt``. A position
+    that is no shape may have a spring that is not as stiff on both sides. For the twin rotor with its rotors N = 199.
+
     Parameters
     ----------
     degree : int
         Highest total degree of the Chebyshev polynomials of the shape.
     positions, velocities : sequence of int, optional
         Which states are positions and which their velocities, in the same order. Default: they alternate, position
-        first.
+        first; actuators are passed over.
     shape : sequence of int, optional
         The positions that inertia and gravity depend on. Default: the first position.
+    actuators : sequence of int, optional
+        Which states drive the body and follow the inputs. Default: none, the inputs are the forces.
+
+    Attributes
+    ----------
+    origin_ : (n + m,) ndarray
+        With actuators: where the channels' zeros lie in their scaled values. ``w|w|`` bends there.
 
     Raises
     ------
@@ -42,6 +66,9 @@ class Mechanical(Dictionary):
     (501, 12)
     >>> psi.feature_names(["q", "v", "u"])[4:]
     ['T2(q)', 'T1(q) u', 'T2(q) u', 'T1(q) v', 'T2(q) v', 'v v', 'T1(q) v v', 'T2(q) v v']
+    >>> rotor = Mechanical(1, actuators=[2]).fit(np.zeros((501, 3)), np.zeros((501, 1)))
+    >>> rotor.feature_names(["q", "v", "w", "u"])[8:14]
+    ['T1(q) w', 'T2(w)', 'T3(w)', 'T4(w)', 'T5(w)', 'w|w|']
     """
 
     def __init__(
@@ -50,78 +77,157 @@ class Mechanical(Dictionary):
         positions: Sequence[int] | None = None,
         velocities: Sequence[int] | None = None,
         shape: Sequence[int] | None = None,
+        actuators: Sequence[int] | None = None,
     ):
         self.degree = degree
         self.positions = positions
         self.velocities = velocities
         self.shape = shape
+        self.actuators = actuators
 
     def words(self, channels: Sequence[str]) -> str:
-        shape = ", ".join(channels[i] if i < len(channels) else str(i) for i in self.shape or [0])
-        return f"mechanical, degree {self.degree} in {shape}"
+        name = lambda i: channels[i] if i < len(channels) else str(i)  # noqa: E731
+        driven = f", driven by {', '.join(map(name, self.actuators))}" if self.actuators else ""
+        return f"mechanical, degree {self.degree} in {', '.join(map(name, self.shape or [0]))}{driven}"
+
+    def _learn(self, z):
+        if self.actuators:
+            self.origin_ = self._origin
 
     def _count(self):
         arguments.whole_number("degree", self.degree)
-        positions, velocities, shape = self._roles()
-        polynomials = math.comb(len(shape) + self.degree, len(shape))
-        pairs = math.comb(len(velocities) + 1, 2)
-        letters = self.n_inputs_ + len(velocities) + len(positions) - len(shape)
-        return polynomials - 1 - len(shape) + letters * (polynomials - 1) + pairs * polynomials
+        channels = len(self._roles()[2])
+        total = 0
+        for word, degree, bend in self._groups():
+            # The head already holds the constant, every channel, and T1 of the shape.
+            inside = 0 if bend or len(word) > 1 else 1 if word else 1 + channels
+            total += math.comb(channels + degree, channels) - inside
+        return total
 
     def _build(self):
         arguments.whole_number("degree", self.degree)
-        positions, velocities, shape = self._roles()
-        n, m = self.n_states_, self.n_inputs_
-        others = [p for p in positions if p not in shape]
-        words = [(), *((n + j,) for j in range(m)), *((v,) for v in velocities), *((p,) for p in others)]
-        words += itertools.combinations_with_replacement(velocities, 2)
-        powers = _powers(len(shape), self.degree)
-        # The head already holds the constant, every channel, and T1 of the shape.
-        terms = [(k, w) for w in words for k in powers if sum(k) + len(w) > 1]
-        self._shape, self._words = shape, words
-        self._powers = np.array([k for k, _ in terms])
-        self._word = np.array([words.index(w) for _, w in terms])
+        groups, n = self._groups(), self.n_states_
+        self._shape = self._roles()[2]
+        shapes = {degree: _powers(len(self._shape), degree) for degree in {degree for _, degree, _ in groups}}
+        terms = [(k, w, bend) for w, d, bend in groups for k in shapes[d] if bend or sum(k) + len(w) > 1]
+        self._words, self._bends = ([*dict.fromkeys(column)] for column in list(zip(*groups))[::2])
+        self._powers = np.array([k for k, _, _ in terms])
+        self._word = np.array([self._words.index(w) for _, w, _ in terms])
+        self._bend = np.array([self._bends.index(bend) for _, _, bend in terms])
         # A word has at most two letters: its product is one of two rows of (1, z), 0 standing for the 1.
-        self._letters = np.array([[1 + i for i in w] + [0] * (2 - len(w)) for w in words]).T
+        self._letters = np.array([[1 + i for i in w] + [0] * (2 - len(w)) for w in self._words]).T
         # For the slopes: each factor of each word that is a state, and what it leaves.
-        self._factors = [(j, i, w[:k] + w[k + 1 :]) for j, w in enumerate(words) for k, i in enumerate(w) if i < n]
+        self._factors = [
+            (j, i, w[:k] + w[k + 1 :]) for j, w in enumerate(self._words) for k, i in enumerate(w) if i < n
+        ]
         return len(terms)
+
+    def _groups(self):
+        """(word, highest degree of the shape, bend): products of channels that each shape multiplies, and a function of
+        one more channel (channel, kind), or None."""
+        positions, velocities, shape, actuators = self._roles()
+        n, m, D = self.n_states_, self.n_inputs_, self.degree
+        inputs, others = range(n, n + m), [p for p in positions if p not in shape]
+        pairs = list(itertools.combinations_with_replacement(velocities, 2))
+        if not actuators:
+            words = [(), *((j,) for j in inputs), *((v,) for v in velocities), *((p,) for p in others), *pairs]
+            return [(word, D, None) for word in words]
+        groups = [((), D, None)]
+        # The damping of the shape's own velocities, and their squares, change little with the shape.
+        own = {velocity for position, velocity in zip(positions, velocities) if position in shape}
+        words = [*((v,) for v in velocities), *((p,) for p in others), *pairs]
+        groups += [(word, D - D // 2 * (set(word) <= own), None) for word in words]
+        groups += [((j,), max(0, D - _SWITCHED), None) for j in inputs]
+        for a in actuators:
+            signed = [(a, _SIGNED)] * self._bent(a)
+            groups.append(((a,), D, None))
+            groups += [((), max(0, D - less), (a, power)) for power, less in _FORCES.items()]
+            groups += [((), max(0, D - _SWITCHED), bend) for bend in signed]
+            groups += [((), 0, (a, power)) for power in range(max(_FORCES) + 1, _DRAG + 1)]
+            for v in velocities:
+                groups.append(((a, v), min(D, _GYRATION), None))
+                groups += [((v,), min(D, _INFLOW), bend) for bend in [(a, 2), *signed]]
+        for j in inputs:
+            kinds = [*range(2, _COMMAND + 1), *[_SIGNED] * self._bent(j)]
+            groups += [((), 0, (j, kind)) for kind in kinds]
+        return groups + [((), min(D, _SPRING), (p, _SIZE)) for p in others if self._bent(p)]
+
+    def _bent(self, channel):
+        """Whether there are data on both sides of a channel's zero: elsewhere z|z| is a polynomial."""
+        return bool(abs(self.origin_[channel]) < _INSIDE)
 
     @property
     def confined(self) -> list[int] | None:
-        """The positions: inputs and velocities enter at most quadratically, as mechanics has it everywhere."""
-        return self._roles()[0]
+        """The positions: inputs and velocities enter at most quadratically, as mechanics has it everywhere.
+
+        With actuators also these and the inputs, whose curves are of any kind.
+        """
+        positions, _, _, actuators = self._roles()
+        n = self.n_states_
+        return positions + actuators + list(range(n, n + self.n_inputs_)) if actuators else positions
 
     def _roles(self):
-        n = self.n_states_
-        positions = list(range(0, n, 2)) if self.positions is None else list(self.positions)
-        velocities = list(range(1, n, 2)) if self.velocities is None else list(self.velocities)
+        n, actuators = self.n_states_, list(self.actuators or ())
+        if len(set(actuators)) < len(actuators) or not set(actuators) <= set(range(n)):
+            raise ValueError(f"actuators {actuators} must name states, 0 to {n - 1}, each once.")
+        body = [i for i in range(n) if i not in actuators]
+        positions = body[::2] if self.positions is None else list(self.positions)
+        velocities = body[1::2] if self.velocities is None else list(self.velocities)
         shape = positions[:1] if self.shape is None else list(self.shape)
-        if sorted(positions + velocities) != list(range(n)) or len(positions) != len(velocities):
+        if sorted(positions + velocities) != body or len(positions) != len(velocities):
+            beside = f" that are no actuators {actuators}" if actuators else ""
             raise ValueError(
-                f"positions {positions} and velocities {velocities} do not pair the {n} states; "
+                f"positions {positions} and velocities {velocities} do not pair the {len(body)} states{beside}; "
                 "say which state is which, for example "
                 "positions=[0, 2], velocities=[1, 3]."
             )
         if not shape or not set(shape) <= set(positions) or len(set(shape)) < len(shape):
             raise ValueError(f"shape {shape} must name positions, which are {positions}, each once.")
-        return positions, velocities, shape
+        return positions, velocities, shape, actuators
 
     def _fill(self, psi, z):
+        tail = psi[1 + len(z) :]
         polynomials = self._polynomials([_chebyshev(z[i], self.degree) for i in self._shape])
-        np.multiply(polynomials, self._products(psi, z)[self._word], out=psi[1 + len(z) :])
+        np.multiply(polynomials, self._products(psi, z)[self._word], out=tail)
+        for j, bend in enumerate(self._bends):
+            if bend:
+                tail[self._bend == j] *= self._bent_values(*bend, z)
 
     def _fill_slopes(self, slopes, psi, z):
         head = 1 + len(z)
         tables = [_chebyshev(z[i], self.degree) for i in self._shape]
         products = self._products(psi, z)[self._word]
+        straight = products
+        bent = [(np.flatnonzero(self._bend == j), bend) for j, bend in enumerate(self._bends) if bend]
+        if bent:
+            products = products.copy()
+            for rows, bend in bent:
+                products[rows] *= self._bent_values(*bend, z)
         for c, i in enumerate(self._shape):
             derived = [_chebyshev_derivatives(z[i], self.degree) if d == c else table for d, table in enumerate(tables)]
             slopes[head:, i] += self._polynomials(derived) * products
         polynomials = self._polynomials(tables)
+        for rows, (i, kind) in bent:
+            if i < self.n_states_:
+                slopes[head + rows, i] += polynomials[rows] * straight[rows] * self._bent_slopes(i, kind, z)
+            polynomials[rows] *= self._bent_values(i, kind, z)
         for j, i, rest in self._factors:
             rows = np.flatnonzero(self._word == j)
             slopes[head + rows, i] += polynomials[rows] * (z[rest[0]] if rest else 1.0)
+
+    def _bent_values(self, i, kind, z):
+        """A function of one channel (points,): a Chebyshev polynomial, or what bends at the channel's zero."""
+        if kind > 0:
+            return _chebyshev(z[i], kind)[kind]
+        away = z[i] - self.origin_[i]
+        return abs(away) * away if kind == _SIGNED else abs(away)
+
+    def _bent_slopes(self, i, kind, z):
+        """Its derivative."""
+        if kind > 0:
+            return _chebyshev_derivatives(z[i], kind)[kind]
+        away = z[i] - self.origin_[i]
+        return 2 * abs(away) if kind == _SIGNED else np.sign(away)
 
     def _products(self, psi, z):
         """The words' values (words, points), from the head of ``psi``, which is (1, z)."""
@@ -137,9 +243,13 @@ class Mechanical(Dictionary):
 
     def _tail_names(self, channels):
         names = []
-        for powers, word in zip(self._powers, self._word):
-            shape = [f"T{k}({channels[i]})" for k, i in zip(powers, self._shape) if k]
-            names.append(" ".join(shape + [channels[i] for i in self._words[word]]))
+        for powers, word, bend in zip(self._powers, self._word, self._bend):
+            factors = [f"T{k}({channels[i]})" for k, i in zip(powers, self._shape) if k]
+            if self._bends[bend]:
+                i, kind = self._bends[bend]
+                size = f"|{channels[i]}|"
+                factors.append(f"T{kind}({channels[i]})" if kind > 0 else channels[i] * (kind == _SIGNED) + size)
+            names.append(" ".join(factors + [channels[i] for i in self._words[word]]))
         return names
 
 

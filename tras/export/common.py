@@ -22,7 +22,7 @@ _RESERVED_WORDS = {
     *"auto break case char const continue default do double else enum extern float for goto if inline int long".split(),
     *"register restrict return short signed sizeof static struct switch typedef union unsigned void volatile".split(),
     *"while main catch classdef elseif end endfunction endif function global otherwise parfor persistent".split(),
-    *"spmd until exp log sin cos tan sinh cosh tanh sqrt pi e i j".split(),
+    *"spmd until exp log sin cos tan sinh cosh tanh sqrt abs fabs pi e i j".split(),
 }
 
 

@@ -163,7 +163,9 @@ class _Text:
 class _Latex(_Text):
     times = r" \, "
     power = staticmethod(lambda base, k: f"{{{base}}}^{{{k}}}")
-    function = staticmethod(lambda name, argument: rf"\{name}\left({argument}\right)")
+    function = staticmethod(
+        lambda name, argument: rf"\left|{argument}\right|" if name == "abs" else rf"\{name}\left({argument}\right)"
+    )
     fraction = staticmethod(lambda a, b: rf"\frac{{{a}}}{{{b}}}")
     brackets = staticmethod(lambda inside: rf"\left({inside}\right)")
 

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-FUNCTIONS = ("exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "sqrt")  # the same in C, MATLAB, Python
+# The same in C, MATLAB, Python; but C calls the absolute value of a floating-point number fabs.
+FUNCTIONS = ("exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "sqrt", "abs")
 
 
 class Symbol:
@@ -46,6 +47,9 @@ class Symbol:
             return self.parts[0]
         return self.number(-self.parts[0]) if self.kind == "number" else self._of("negative", self)
 
+    def __abs__(self):
+        return self._of("abs", self)
+
     def __bool__(self):
         raise TypeError("a symbol is neither true nor false")
 
@@ -53,7 +57,7 @@ class Symbol:
 for _kind, _name in (("+", "add"), ("-", "sub"), ("*", "mul"), ("/", "truediv")):
     setattr(Symbol, f"__{_name}__", lambda self, other, kind=_kind: self._with(kind, self, other))
     setattr(Symbol, f"__r{_name}__", lambda self, other, kind=_kind: self._with(kind, other, self))
-for _name in FUNCTIONS:  # NumPy calls an object's method of the same name
+for _name in FUNCTIONS[:-1]:  # NumPy calls an object's method of the same name
     setattr(Symbol, _name, lambda self, name=_name: self._of(name, self))
 
 
@@ -110,9 +114,10 @@ class Language(NamedTuple):
     first: int
     times: str
     over: str
+    absolute: str = "abs"
 
 
-C = Language("z[{}]", "psi[{}]", "const double ", 0, "*", "/")
+C = Language("z[{}]", "psi[{}]", "const double ", 0, "*", "/", "fabs")
 MATLAB = Language("z({},:)", "psi({},:)", "", 1, ".*", "./")
 
 
@@ -135,7 +140,7 @@ def text(node, language, names=None):
     if node.kind == "z":
         return language.channel.format(node.parts[0] + language.first)
     if node.kind in FUNCTIONS:
-        return f"{node.kind}({write(node.parts[0])})"
+        return f"{language.absolute if node.kind == 'abs' else node.kind}({write(node.parts[0])})"
     if node.kind == "negative":
         return f"-{write(node.parts[0], 2)}"
     a, b = node.parts

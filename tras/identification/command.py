@@ -135,6 +135,8 @@ def _parser(program):
     smoothing = "smooth the states before the fit (default: both are tried if they are noisy)"
     add("--smoothing", default="", choices=["", "yes", "no"], help=smoothing)
     add("--lead", default="", choices=["", "0", "1"], help="the input acts after (0) or before (1) its sample")
+    actuators = "states that follow the inputs and drive the body, or none (default: found by their numbers)"
+    add("--actuators", type=_names, default=[], help=actuators)
     add("--horizon", type=float, default=0.0, help="how far ahead the model is to predict, in s")
     add("--draws", type=int, default=30, help="members of the bootstrap, 0 for no band")
     return parser

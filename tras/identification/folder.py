@@ -28,12 +28,12 @@ _READABLE = 300  # functions; of more no formulas are written
 
 def open_log(
     paths=(), *, roles=None, states=None, inputs=None, time="", trial="", dt=None, resample=None, start=None, end=None,
-    decimate=1, test=(),
+    decimate=1, test=(), actuators=(),
 ) -> Recording:  # fmt: skip
     """Read a recording of one path or several, its roles by name or by a YAML file; of none the `example` "duffing".
 
     "none" as a role says that there is none; ``test`` holds paths, or numbers of trials as text. A .nc file knows its
-    roles: ``states`` and ``inputs`` then choose among them.
+    roles: ``states`` and ``inputs`` then choose among them. ``actuators`` becomes the recording's attribute.
 
     Raises
     ------
@@ -41,19 +41,26 @@ def open_log(
         As `Recording.read`.
     """
     if not paths:
-        return example("duffing")
+        return _with_actuators(example("duffing"), actuators)
     paths = [paths] if isinstance(paths, (str, Path)) else list(paths)
     samples = {"dt": dt or None, "resample": resample or None, "start": start or None, "end": end or None}
     samples |= {"decimate": decimate, "test": [int(each) if str(each).isdigit() else each for each in test] or None}
     if Path(paths[0]).suffix == ".nc":
-        return Recording.read(paths, roles or None, **samples).select(states=states or None, inputs=inputs or None)
+        log = Recording.read(paths, roles or None, **samples).select(states=states or None, inputs=inputs or None)
+        return _with_actuators(log, actuators)
     by_name = {"states": states, "inputs": inputs, "time": time, "trial": trial}
     by_name = {role: columns for role, columns in by_name.items() if columns}
     if roles and by_name:
         raise ValueError(f"roles are given by {roles} and by name ({', '.join(by_name)}); give them in one way.")
     none = {"states": [], "inputs": [], "time": None, "trial": None}
     by_name = {role: none[role] if columns in ("none", ["none"]) else columns for role, columns in by_name.items()}
-    return Recording.read(paths, roles or by_name or None, **samples)
+    return _with_actuators(Recording.read(paths, roles or by_name or None, **samples), actuators)
+
+
+def _with_actuators(log, names):
+    if names:
+        log.attributes["actuators"] = [] if list(names) == ["none"] else list(names)
+    return log
 
 
 def write(identification: Identification, log: Recording, name: str, folder: str | Path) -> pd.DataFrame:

@@ -9,6 +9,7 @@ from sklearn.base import clone
 
 from tras.dictionaries.base import label
 from tras.identification import advice, preparation
+from tras.identification.actuators import find_actuators
 from tras.identification.advice import AdviceList, verdict
 from tras.identification.bootstrap import bootstrap, prediction_band
 from tras.identification.checks import Checks, check
@@ -79,7 +80,8 @@ def identify(
     Parameters
     ----------
     recording : Recording or sequence of them
-        As read: uncut, in any units.
+        As read: uncut, in any units. Its attribute ``actuators`` may name the states that follow the inputs and drive
+        the body (`tras.Mechanical`); otherwise they are found by their numbers.
     predictor : {"vector_field", "one_step", "lifted_linear"}, optional
         The only one to try.
     delays : sequence of int, optional
@@ -125,6 +127,12 @@ def _identify(log, predictor, delays, smoothing, lead, horizon, draws, seed):
     samples, length_remark = preparation.window_length(train_log, lag, horizon)
     pairs = preparation.velocity_pairs(train_log, lag)
     pair_remarks = [f"the velocity of {position} is {velocity}, by their numbers" for position, velocity in pairs]
+    if actuators := find_actuators(train_log, pairs):
+        named, one = "actuators" in train_log.attributes, len(actuators) == 1
+        kind = "an actuator, which follows" if one else "actuators, which follow"
+        rule = "as the user says" if named else "by their numbers"
+        verb, drive = ("is", "drives") if one else ("are", "drive")
+        pair_remarks.append(f"{', '.join(actuators)} {verb} {kind} the inputs and {drive} the body, {rule}")
     training = preparation.Treatments(train_log, pairs, FITTED)
     table, search_remarks = search(
         training, samples, predictor=predictor, delays=delays, smoothing=smoothing, lead=lead

@@ -20,6 +20,7 @@ from tras.dictionaries.monomials import Monomials
 from tras.dictionaries.radial import GaussianRBF
 from tras.fitting import hold_out
 from tras.identification import preparation
+from tras.identification.actuators import driven, find_actuators
 from tras.identification.preparation import Treatments, is_noisy
 from tras.metrics import capped, diverged, multi_step_error
 from tras.model import KoopmanModel
@@ -45,7 +46,8 @@ def candidates(recording: Recording, predictor: str = "vector_field", delays: in
 
     Linear; monomials of degree 2 to 4 and Gaussians on 50 and 200 k-means centres, if they have at most 500 functions
     and at least two snapshot pairs per function; and, if the number of states is even and there are no delays,
-    `Mechanical`, which takes the states for position, velocity, position, ...
+    `Mechanical`, which takes the states for position, velocity, position, ... Where `find_actuators` finds some, it is
+    told which states they are, and which the positions and velocities.
 
     Examples
     --------
@@ -61,8 +63,12 @@ def candidates(recording: Recording, predictor: str = "vector_field", delays: in
     Mechanical()
     """
     dictionaries = _dictionaries(recording, delays, predictor, (1, 2, 3, 4), (50, 200), min(500, recording.pairs // 2))
-    if recording.n % 2 == 0 and not delays and predictor != "lifted_linear":
-        dictionaries.append(Mechanical())
+    if not delays and predictor != "lifted_linear":
+        pairs = preparation.velocity_pairs(recording, preparation.memory(recording))
+        if find_actuators(recording, pairs):
+            dictionaries += filter(None, [driven(recording, pairs, 8)])
+        elif recording.n % 2 == 0:
+            dictionaries.append(Mechanical())
     return [KoopmanModel(dictionary, predictor, delays) for dictionary in dictionaries]
 
 
@@ -159,7 +165,8 @@ def search(
     if smoothing is None and is_noisy(recording):
         names.append("smoothed")
     if delays is None:
-        delays = _delays(recording, complete=recording.n == 2 * len(pairs) and not is_noisy(recording, _AVERAGED))
+        complete = recording.n == 2 * len(pairs) + len(find_actuators(recording, pairs))
+        delays = _delays(recording, complete=complete and not is_noisy(recording, _AVERAGED))
     latest, leads = max(delays), _leads(recording, lead)
     parts, windows, blocks, remarks = _parts(treatments, names, samples, latest)
     rows, keys = [], set()
@@ -378,11 +385,11 @@ def _dictionaries_of(train, delays, pairs, predictor):
     # A field is evaluated several times per sample.
     most = _most(train) if predictor != "vector_field" else min(150, _most(train))
     dictionaries = _dictionaries(train, delays, predictor, (1, 2, 3, 4, 5), (30, 100, 250), most)
-    if not delays and predictor != "lifted_linear" and train.n == 2 * len(pairs):
+    if not delays and predictor != "lifted_linear":
         # Each position in turn as the one that inertia and gravity depend on.
-        positions, velocities = ([train.state_names.index(name) for name in column] for column in zip(*pairs))
-        shapes = [(degree, [shape]) for degree in (3, 8) for shape in positions[:4]]
-        dictionaries += [Mechanical(degree, positions, velocities, shape) for degree, shape in shapes]
+        degrees = (8,) if find_actuators(train, pairs) else (3, 8)  # with actuators there are many functions
+        shapes = [(degree, position) for degree in degrees for position, _ in pairs[:4]]
+        dictionaries += filter(None, (driven(train, pairs, degree, shape) for degree, shape in shapes))
     return dictionaries
 
 
