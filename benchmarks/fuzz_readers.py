@@ -57,25 +57,8 @@ WORDS = (
     b'"', b"#", b": ", b"\r", b",",
 )  # fmt: skip
 NUMBERS = (
-    0,
-    -1,
-    1,
-    3000,
-    10**12,
-    2**63,
-    -(2**63),
-    1e400,
-    -1e400,
-    float("nan"),
-    1e300,
-    1e-320,
-    None,
-    True,
-    "",
-    "x",
-    [],
-    {},
-)
+    0, -1, 1, 3000, 10**12, 2**63, -(2**63), 1e400, -1e400, float("nan"), 1e300, 1e-320, None, True, "", "x", [], {},
+)  # fmt: skip
 CHUNKS = {"few": 60, "many": 4000}  # pairs, of the fits with checkpoints
 # Of files whose columns have no plain names.
 ROLES = {
@@ -337,10 +320,15 @@ def damaged_inside(content, rng):
             entries[list(entries)[int(rng.integers(len(entries)))]] = entry
         elif kind == 2:
             entries[name] = damaged(entry, list(entries.values()), rng)
-        elif (array := _loaded(entry)) is None:
-            continue  # damaged before
+        elif (array := _loaded(entry)) is None or (array.dtype.kind == "U") != (name == "header.npy"):
+            continue  # damaged before, or another array by now
         elif name == "header.npy":
-            header = json.loads(str(array))
+            try:
+                header = json.loads(str(array))
+            except (ValueError, RecursionError):
+                header = None
+            if not isinstance(header, dict):
+                continue  # damaged before, or another array by now
             _spoil(header, rng)
             text = json.dumps(header)
             entries[name] = _npy(np.array("[" * 20_000 + text if rng.integers(50) == 0 else text))
@@ -387,7 +375,7 @@ def _spoil(value, rng):
         if not keys:
             return
         key = list(keys)[int(rng.integers(len(keys)))]
-        if isinstance(value[key], (dict, list)) and rng.integers(4):
+        if isinstance(value[key], (dict, list)) and value[key] and rng.integers(4):
             value = value[key]
             continue
         kind = rng.integers(6)

@@ -63,6 +63,26 @@ def experiment(parameters):
 
 
 @pytest.fixture(scope="session")
+def torques(experiment):
+    """The same with the torques as inputs."""
+    return experiment.select(inputs=["u_phi", "u_psi"])
+
+
+@pytest.fixture(scope="session")
+def mechanical(torques):
+    """A model of it that is nearly exact."""
+    return tras.KoopmanModel(tras.Mechanical(), regularization=None).fit(torques)
+
+
+@pytest.fixture(scope="session")
+def true_plant(parameters):
+    """The rig's own equations in place of a model."""
+    from tras.control.predictors import plant
+
+    return plant(parameters, 0.01)
+
+
+@pytest.fixture(scope="session")
 def cluster():
     """Two workers of Dask, processes of one thread. They ask a killed neighbour for its data for 5 s, not for 30."""
     import dask

@@ -89,12 +89,23 @@ def bare_c(text):
     return re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
 
 
-def test_c_is_the_code_of_a_model_with_harmless_names(hostile, harmless, tmp_path):
+def of_model(model, path):
+    return tras.export.to_c(model, path, slopes=True)
+
+
+def of_controller(model, path):
+    observer = tras.Observer(model, measured=model.state_names_[:3])
+    return tras.export.controller_to_c(tras.LQR(model, observer=observer), path)
+
+
+@pytest.mark.parametrize("export", [of_model, of_controller])
+def test_c_is_the_code_of_a_model_with_harmless_names(export, hostile, harmless, tmp_path):
     (tmp_path / "plain").mkdir()
-    files = tras.export.to_c(hostile, tmp_path / "rig.c")
-    for file, plain in zip(files, tras.export.to_c(harmless, tmp_path / "plain" / "rig.c")):
+    files = export(hostile, tmp_path / "rig.c")
+    for file, plain in zip(files, export(harmless, tmp_path / "plain" / "rig.c")):
         text = file.read_text(encoding="utf-8")
-        assert bare_c(text) == bare_c(plain.read_text(encoding="utf-8")) and "PWNED" in text
+        assert bare_c(text) == bare_c(plain.read_text(encoding="utf-8"))
+        assert "PWNED" in text or export is of_controller and file.suffix == ".c"
         assert all(map(is_seen, text)) and "\\" not in text and "??" not in text
     if CC is None:
         pytest.skip("no C compiler (cc, gcc, clang) is installed, so the generated C cannot be compiled here")
@@ -143,7 +154,7 @@ def test_files_of_hostile_names_are_safe_or_refused(name, tmp_path):
     """The generated files name each other."""
     name = name.replace("/", "|").replace("\0", "")[:60]
     model = model_of(["u", "x"], ["", ""], "one_step")
-    for export, suffix in ((tras.export.to_c, ".c"), (tras.export.to_matlab, ".mat")):
+    for export, suffix in ((tras.export.to_c, ".c"), (tras.export.to_matlab, ".mat"), (of_controller, ".c")):
         path = tmp_path / f"{name}{suffix}"
         if path.name != in_code(path.name) or set("\"'") & set(name):
             with pytest.raises(ValueError, match="which the generated files cannot hold; give one without"):

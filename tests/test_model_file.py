@@ -56,6 +56,13 @@ def refused(path, words):
     assert sentence.startswith(f"{path} cannot be read as a model (") and "\n" not in sentence and len(sentence) < 400
 
 
+def lowest(array):
+    """A number so low that the difference to the next one overflows."""
+    array = array.copy()
+    array[-2] = -(2**63)
+    return array
+
+
 ARRAYS = {
     "NaN in W": ("field", "W_", at(3, np.nan), "its W_ holds a number that is not finite"),
     "infinity in K": ("field", "koopman_matrix", at(0, np.inf), "its koopman_matrix holds a number"),
@@ -83,6 +90,8 @@ ARRAYS = {
     "centres of others": ("rbf", "dictionary.centres_", lambda a: a[:, :-1], "its dictionary.centres_ has the shape"),
     "other states": ("rbf", "dictionary.n_states_", lambda a: np.array(7), "its dictionary is not of 5 states"),
     "a billion states": ("field", "dictionary.n_states_", lambda a: np.array(10**9), "is not of 2 states"),
+    "states with a point": ("rbf", "dictionary.n_states_", lambda a: a.astype(float), "is not of 5 states"),
+    "the least whole number": ("union", "dictionary.kept_", lowest, "chooses functions that its parts do not"),
     "functions that are not there": ("union", "dictionary.kept_", at(-1, 99), "chooses functions that its parts"),
     "half functions": ("union", "dictionary.kept_", at(-1, 9.5), "chooses functions that its parts do not"),
     "no functions": ("product", "dictionary.kept_", lambda a: a[:2], "chooses functions that its parts do not"),
@@ -111,15 +120,19 @@ def inner(header, *keys):
 
 
 HEADERS = {
-    "a degree of 3 000": ("field", ["dictionary", "parameters", "degree"], 3000, "more than 10000 functions"),
-    "a degree of 100 000": ("field", ["dictionary", "parameters", "degree"], 100_000, "more than 10000 functions"),
+    "a degree of 3 000": ("field", ["dictionary", "parameters", "degree"], 3000, "degree is 3000; give"),
+    "a degree of 100 000": ("field", ["dictionary", "parameters", "degree"], 100_000, "degree is 100000; give"),
+    "a degree of 300": ("field", ["dictionary", "parameters", "degree"], 300, "more than 10000 functions"),
+    "unsettled by number": ("field", ["unsettled"], [3], "its unsettled are no list of sentences"),
+    "unsettled at length": ("field", ["unsettled"], ["a" * 2000], "its unsettled are no list of sentences"),
     "a degree of zero": ("field", ["dictionary", "parameters", "degree"], 0, "its dictionary Monomials has degree = 0"),
     "a degree in words": ("field", ["dictionary", "parameters", "degree"], "two", "has degree = 'two'"),
     "another degree": ("field", ["dictionary", "parameters", "degree"], 3, "has 20 functions, its header names 10"),
-    "a high degree": ("mechanical", ["dictionary", "parameters", "degree"], 10**6, "more than 10000 functions"),
+    "a high degree": ("mechanical", ["dictionary", "parameters", "degree"], 10**6, "degree is 1000000; give"),
     "a shape many times": ("mechanical", ["dictionary", "parameters", "shape"], [0] * 30, "each once"),
-    "an order without end": ("linear", ["dictionary", "parameters", "order"], 10**9, "more than 10000 functions"),
+    "an order without end": ("linear", ["dictionary", "parameters", "order"], 10**9, "order is 1000000000; give"),
     "an endless period": ("linear", ["dictionary", "parameters", "period"], math.inf, "has period = inf"),
+    "hardly a period": ("linear", ["dictionary", "parameters", "period"], 1e-320, "has period = 1e-320"),
     "no seed": ("rbf", ["dictionary", "parameters", "seed"], -1, "has seed = -1"),
     "another parameter": ("field", ["dictionary", "parameters", "os"], 1, "has os = 1"),
     "a name that is a list": ("field", ["dictionary", "name"], ["Monomials"], "is not one of this release"),

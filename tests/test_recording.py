@@ -254,3 +254,25 @@ def test_bad_files_are_named(tmp_path):
     xarray.Dataset({"a": ("b", [1.0])}).to_netcdf(tmp_path / "other.nc", engine="h5netcdf")
     with pytest.raises(ValueError, match="attribute 'format' is None"):
         R.read(tmp_path / "other.nc")
+
+
+@pytest.mark.parametrize("every", [1, 2, 3, 7])
+@pytest.mark.parametrize("lead", [0, 1])
+def test_means_of_inputs_do_the_work_of_the_inputs(every, lead):
+    """What sums its input up is the same system at the longer step, for any input."""
+    u = np.random.default_rng(0).normal(size=(50, 2))
+    x = np.zeros((50, 2))
+    for k in range(49):
+        x[k + 1] = x[k] + u[k + lead]
+    log = tras.Recording([x, x[:9]], [u, u[:9]], 0.1, attributes={"test_trajectories": [1]})
+    fewer = log.decimated(every, lead)
+    assert fewer.dt == pytest.approx(0.1 * every) and fewer.held_back() == [1]
+    for (states, inputs), (full, _) in zip(fewer, log):
+        assert np.array_equal(states, full[::every]) and inputs.shape == states.shape
+        assert np.allclose(np.diff(states, axis=0), every * inputs[lead : len(inputs) - 1 + lead])
+
+
+@pytest.mark.parametrize("options", [{"every": 0}, {"every": 2, "lead": 2}, {"every": 1.5}])
+def test_steps_that_are_none_are_refused(options, experiment):
+    with pytest.raises(ValueError, match="every"):
+        experiment.decimated(**options)

@@ -8,7 +8,7 @@ Start here:
     train, test = log.cut(101).split(0.8, 0)      # trajectories of 101 samples, four fifths of them to fit
     model, tried = tras.choose(train)             # or tras.KoopmanModel(tras.Monomials(2)).fit(train)
     print(model.report(test))                     # conditioning, stability, errors of predictions
-    tras.compare(test, model)                     # measured against simulated, the fit in percent
+    tras.compare(test, model)                     # measured against simulated: figure and table
     model.plot_spectrum()                         # eigenvalues beside the unit circle
     states = model.simulate(log.states[0][0], log.inputs[0])
     model.save("model.npz")                       # tras.load_model reads it
@@ -44,6 +44,9 @@ _ROOMS = {
     "remarks": "io.formats",
     "example": "identification.examples",
     "PID": "twin_rotor.closed_loop",
+    "LQR": "control.lqr",
+    "MPC": "control.mpc",
+    "Observer": "control.observer",
     "simulate_closed_loop": "twin_rotor.closed_loop",
     "simulate_closed_loops": "twin_rotor.closed_loop",
     "Monomials": "dictionaries.monomials",
@@ -69,7 +72,6 @@ _ROOMS = {
     "parameter_intervals": "paper.physics",
     "load_model": "model",
     "compare": "display.plots",
-    "compare_table": "display.plots",
     "metrics": "metrics",
     "export": "export",
     "open_recording": "large.slices",
@@ -79,6 +81,9 @@ _ROOMS = {
 if TYPE_CHECKING:
     from tras import export as export
     from tras import metrics as metrics
+    from tras.control.lqr import LQR as LQR
+    from tras.control.mpc import MPC as MPC
+    from tras.control.observer import Observer as Observer
     from tras.dictionaries.combinations import Product as Product
     from tras.dictionaries.combinations import Union as Union
     from tras.dictionaries.mechanical import Mechanical as Mechanical
@@ -88,7 +93,6 @@ if TYPE_CHECKING:
     from tras.dictionaries.waves import Exponentials as Exponentials
     from tras.dictionaries.waves import Fourier as Fourier
     from tras.display.plots import compare as compare
-    from tras.display.plots import compare_table as compare_table
     from tras.identification.bootstrap import bootstrap as bootstrap
     from tras.identification.bootstrap import prediction_band as prediction_band
     from tras.identification.examples import example as example

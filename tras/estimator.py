@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator
 
 from tras import metrics
+from tras.io.npz import MAX_NUMBER
 from tras.recording import Recording, join
+from tras.workflow import arguments
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,8 +61,10 @@ class Channels:
         Raises
         ------
         ValueError
-            If a channel is constant.
+            If a channel is constant, or a number is beyond 1e100 or a range or the sampling time below 1e-100: what
+            follows would overflow.
         """
+        arguments.number("dt, the sampling time in s,", recording.dt, 1 / MAX_NUMBER, MAX_NUMBER)
         names, inputs = tuple(recording.state_names), tuple(recording.input_names)
         ranges = ranges_of(recording) if ranges is None else ranges
         (x_offset, x_scale), (u_offset, u_scale) = _middle_and_half(ranges, names), _middle_and_half(ranges, inputs)
@@ -103,8 +107,11 @@ class Channels:
         """
         recording = join(recording).select(states=self.state_names, inputs=self.input_names)
         if abs(recording.dt - self.dt) > 1e-9 * self.dt:
+            every, remedy = round(self.dt / recording.dt), "resample or fit again"
+            if every > 1 and abs(every * recording.dt - self.dt) <= 1e-9 * self.dt:
+                remedy = f"take recording.decimated({every}{', lead=1' if self.lead else ''})"
             raise ValueError(
-                f"the recording is sampled at {recording.dt:g} s but the model at {self.dt:g} s; resample or fit again."
+                f"the recording is sampled at {recording.dt:g} s but the model at {self.dt:g} s; {remedy}."
             )
         return recording
 
@@ -236,7 +243,7 @@ class Estimator(BaseEstimator):
         """
         from tras.display import plots
 
-        return plots.compare(recording, self, trajectory=trajectory, ax=ax)
+        return plots.one_run(recording, self, trajectory, ax)
 
     def residuals(
         self, recording: Recording, *, steps: int = 1, lags: int = 25, significance: float = 0.01
@@ -376,6 +383,12 @@ def checked(ranges: dict | None, recording) -> dict | None:
 def _middle_and_half(ranges, names):
     """Middle and half-range of the named channels, two arrays."""
     low, high = np.array([ranges[name] for name in names], dtype=float).reshape(-1, 2).T
+    for name, least, most in zip(names, low, high):
+        if max(abs(least), abs(most)) > MAX_NUMBER:
+            raise ValueError(
+                f"channel {name!r} reaches from {least:g} to {most:g}, whose squares no number can hold: if that is an "
+                "outlier, repair it, otherwise choose another unit."
+            )
     half = (high - low) / 2
     constant = half <= 1e-12 * np.maximum(np.abs(low), np.abs(high))
     if constant.any():
@@ -383,5 +396,11 @@ def _middle_and_half(ranges, names):
         raise ValueError(
             f"channel {names[i]!r} is constant ({low[i]:g}) over the whole recording: "
             "nothing can be learnt about it; leave it out with recording.select(...)."
+        )
+    if (half < 1 / MAX_NUMBER).any():
+        i = int(np.argmin(half))
+        raise ValueError(
+            f"channel {names[i]!r} moves by {2 * half[i]:g} in all, whose square no number can hold: choose another "
+            "unit, or leave it out with recording.select(...)."
         )
     return (high + low) / 2, half

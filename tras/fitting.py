@@ -12,15 +12,18 @@ from scipy import linalg
 from sklearn.base import clone
 
 from tras import koopman
+from tras.dictionaries.base import label
 from tras.estimator import Channels
 from tras.hull import Hull, outward_rates
 from tras.io.npz import MAX_NUMBER, require_numbers
 from tras.predictors import PREDICTORS
 from tras.recording import join
 from tras.regularization import regularized
-from tras.solver.least_squares import LeastSquares, StreamingLeastSquares
+from tras.solver.least_squares import LeastSquares, StreamingLeastSquares, panel_rows
 from tras.solver.threads import processors
+from tras.workflow.arguments import short
 
+_MATRICES = 40  # of N by N numbers: the solver's, and those of a logarithm
 WINDOW = 501  # samples of a roll-out, at most
 
 
@@ -54,16 +57,18 @@ class Fit:
         Raises
         ------
         ValueError
-            If there are no snapshot pairs, or a channel is constant.
+            If there are no snapshot pairs, a channel is constant, or there would be more than ``max_functions``.
         """
         if recording.pairs == 0:
             raise ValueError("no trajectory has two samples, so there are no snapshot pairs; record more.")
         new, predictor = cls(), PREDICTORS[options.predictor]
+        _require_few(options, predictor, recording)
         new.channels = Channels.of(recording, ranges, options.delays, predictor.delays_inputs, options.lead)
         x, u = (np.concatenate(part) for part in zip(*new.channels.scaled(recording)))
         new.lifts_inputs, new.rows = predictor.lifts_inputs, predictor.rows(options.columns)
         origin = new.channels.origin if new.lifts_inputs else new.channels.origin[: x.shape[1]]
         new.dictionary = clone(options.dictionary).fit(x, u if new.lifts_inputs else None, origin)
+        _require_at_most(options, new.dictionary.size)  # of those that cannot count before
         lifted = new.channels.z_names + new.lifts_inputs * list(new.channels.input_names)
         new.names = new.dictionary.feature_names(lifted)
         new.confines = options.extrapolation == "linear" and new.lifts_inputs and new.tail > 0
@@ -161,6 +166,39 @@ class Fit:
             return self.names
         head = 1 + len(self.dictionary.coordinates)
         return [*self.names[:head], *self.channels.input_names, *self.names[head:]]
+
+
+def _require_few(options, predictor, recording):
+    """Refuse too many functions while they are a number: nothing is delayed, learnt or lifted yet."""
+    if options.delays >= recording.lengths.max():
+        return  # that is said elsewhere
+    inputs = recording.m if predictor.lifts_inputs else 0
+    delayed = recording.n + recording.m * predictor.delays_inputs
+    states = recording.n + options.delays * delayed
+    if states + inputs < options.max_functions:  # each channel is a function
+        _require_at_most(options, options.dictionary.count_of(states, inputs))
+    else:
+        _require_at_most(options, 1 + states + inputs)
+
+
+def _require_at_most(options, functions):
+    if functions > options.max_functions:
+        gigabytes = memory_needed(functions) / 1e9
+        need = f"about {gigabytes:.2g} GB of memory" if gigabytes < 1e4 else "more memory than there is"
+        fewer = f", fewer than {options.delays} delays" if options.delays else ""
+        number = f"{functions}" if functions < 1e12 else "more than 1e12"
+        allow = f", or allow it: KoopmanModel(..., max_functions={functions})" if functions < 1e5 else ""
+        raise ValueError(
+            f"dictionary {short(label(options.dictionary), 80)} has {number} functions of these channels, more than "
+            f"max_functions={options.max_functions}; the fit would need {need}. Take a lower degree or order{fewer}, "
+            f"GaussianRBF(200, width='auto', centres='kmeans'){allow}."
+        )
+
+
+def memory_needed(functions: int) -> int:
+    """Bytes that a fit of so many functions takes at most, about: panels of each thread, and matrices of all."""
+    panels = 3 * processors() * panel_rows(functions) * functions
+    return 8 * (panels + _MATRICES * functions**2)
 
 
 def rows_and_hull(state, confined=None) -> tuple[StreamingLeastSquares | None, Hull | None]:

@@ -88,6 +88,12 @@ class Hull:
         beyond = t - np.clip(t, self.lower, self.upper)
         return z - self.axes @ beyond if beyond.any() else z
 
+    def slopes(self, z: np.ndarray) -> np.ndarray:
+        """dP/dz: (channels, points) -> (points, channels, channels); along an axis it is 1 inside and 0 beyond."""
+        t = self.axes.T @ (z - self.centre)
+        inside = (t >= self.lower) & (t <= self.upper)
+        return (self.axes * inside.T[:, None]) @ self.axes.T
+
 
 def outward_rates(change: np.ndarray, n: int, dt: float, newest: int) -> np.ndarray:
     """S (n, n + m) in 1/s beyond the hull: the linear model's, shifted until its slowest mode decays as fast as its

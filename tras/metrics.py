@@ -42,6 +42,10 @@ class Scores:
     diverged: int
 
 
+_quietly = np.errstate(over="ignore", invalid="ignore")  # what is too large for a number is infinite, without a warning
+
+
+@_quietly
 def judge(
     true: ArrayLike,
     predicted: ArrayLike,
@@ -81,6 +85,7 @@ def judge(
     return Scores(error / divisor(size), fit, normalized, len(lost), int(lost.sum()))
 
 
+@_quietly
 def enr(true: ArrayLike, predicted: ArrayLike) -> np.ndarray:
     """Error-to-norm ratio ``|x - xh| / |x|``, equation (19), a FRACTION: 0 is perfect. (..., samples, n) -> (n,)
 
@@ -93,6 +98,7 @@ def enr(true: ArrayLike, predicted: ArrayLike) -> np.ndarray:
     return error / _positive(size, "the truth is zero throughout")
 
 
+@_quietly
 def bfr(true: ArrayLike, predicted: ArrayLike) -> np.ndarray:
     """Best-fit ratio ``100 max(1 - |x - xh| / |x - mean(x)|, 0)``, equation (20) repaired, in PERCENT: 100 is perfect.
 
@@ -102,6 +108,7 @@ def bfr(true: ArrayLike, predicted: ArrayLike) -> np.ndarray:
     return 100 * np.maximum(1 - error / _positive(spread, "the truth is constant"), 0)
 
 
+@_quietly
 def nrmse(
     true: ArrayLike, predicted: ArrayLike, *, range_over: str = "all", span: ArrayLike | None = None
 ) -> np.ndarray:
@@ -134,6 +141,7 @@ def nrmse(
     return 100 * np.sqrt(np.mean(each, axis=0))
 
 
+@_quietly
 def diverged(
     true: ArrayLike, predicted: ArrayLike, *, factor: float = 10.0, span: ArrayLike | None = None
 ) -> np.ndarray:

@@ -22,7 +22,8 @@ from tras.large.slices import RecordingFile
 from tras.metrics import multi_step_error
 from tras.predictors import PREDICTORS, Map
 from tras.recording import Recording
-from tras.regularization import METHODS, STRENGTHS
+from tras.regularization import METHODS, ROUNDS, STRENGTHS, unsettled
+from tras.solver.threads import few_blas_threads, one_blas_thread
 from tras.workflow import arguments
 
 if TYPE_CHECKING:
@@ -89,6 +90,10 @@ class KoopmanModel(Estimator):
         Which recorded input acts from one sample to the next: that of the first of the two (0, a zero-order hold), or
         that of the second (1), as in recordings whose input was measured, filtered or stamped at the end of a sample.
 
+    max_functions : int
+        More functions are refused before anything is lifted: time grows with their cube, memory with their square, and
+        a degree, delays and many channels multiply. A thousand take up to a minute and 0.6 GB.
+
     Attributes
     ----------
     koopman_matrix : (N, N) ndarray
@@ -104,6 +109,8 @@ class KoopmanModel(Estimator):
         Its numerical rank, at most N.
     strength_ : float
         The strength used.
+    unsettled_ : list of str
+        Searches of `fit` that ended by their count of iterations, one sentence each; empty when all came to their end.
     errors_ : dict
         With ``strength="auto"``: strength -> multi-step error (root mean square in half-ranges, a sample counts 10 at
         most).
@@ -126,6 +133,7 @@ class KoopmanModel(Estimator):
     condition_number: float
     rank_: int
     strength_: float
+    unsettled_: list[str]
     errors_: dict[float, float]
     dictionary_: Dictionary
     names_: list[str]
@@ -144,6 +152,7 @@ class KoopmanModel(Estimator):
         stable: float | bool = False,
         columns: str = "all",
         lead: int = 0,
+        max_functions: int = 1000,
     ):
         self.dictionary = dictionary
         self.predictor = predictor
@@ -155,6 +164,7 @@ class KoopmanModel(Estimator):
         self.stable = stable
         self.columns = columns
         self.lead = lead
+        self.max_functions = max_functions
 
     def fit(self, recording: Source, y: None = None, **streamed) -> "KoopmanModel":
         """Identify from a `Recording`, or a sequence of recordings with the same channels.
@@ -166,13 +176,13 @@ class KoopmanModel(Estimator):
         Raises
         ------
         ValueError
-            On an unknown option, a constant channel, too few snapshot pairs, channels or functions that depend on each
-            other on the data.
+            On an unknown option, a constant channel, too few snapshot pairs, more functions than ``max_functions``,
+            channels or functions that depend on each other on the data.
         LogarithmError
             (a ValueError) If K has no principal logarithm.
         """
         self.check_options()
-        with self._unchanged_on_failure():
+        with self._unchanged_on_failure(), one_blas_thread():
             return self._conclude(*streaming.absorb(self, recording, **streamed), streamed.get("threads"))
 
     def partial_fit(self, recording: Recording, y: None = None) -> "KoopmanModel":
@@ -191,7 +201,7 @@ class KoopmanModel(Estimator):
             raise ValueError("field is 'least_squares', which needs all data at once; use field='coordinates', or fit.")
         if not hasattr(self, "_fit"):
             raise ValueError("this model comes from a file, which keeps what was found and not the data; fit anew.")
-        with self._unchanged_on_failure():
+        with self._unchanged_on_failure(), one_blas_thread():
             return self._conclude(*streaming.more(self._fit, self.channels_.matched(recording)))
 
     @contextlib.contextmanager
@@ -248,6 +258,11 @@ class KoopmanModel(Estimator):
         if self.hull_ is not None:
             self.outward_ = self._fit.outward(least_squares)
             self.outward_step_ = over_a_sample(self.outward_, self.dt_)
+        self.unsettled_ = []
+        if self.regularization == "sparse" and strength:
+            count = unsettled(least_squares.R, least_squares.rotated, strength, D)
+            how = f"ended after {ROUNDS} rounds, with terms below the threshold in {count} of {D.shape[1]} columns of K"
+            self.unsettled_ += [f"sequential thresholding {how}"] * bool(count)
         self._predictor.settle(self, D, least_squares, scaled)
 
     @property
@@ -294,6 +309,10 @@ class KoopmanModel(Estimator):
         field's Jacobian; elsewhere that of the motion from the point, whose drift the deviations do not have. The
         states are the model's, delayed samples of states and inputs behind them. A ``lifted_linear`` model is linear
         everywhere: its states are the liftings but the constant, and the point has no effect.
+
+        With ``lead=1`` a state depends on the input of its own instant: D is not zero, and the system's state is z less
+        what this input has moved, ``dz[k] - B du[k]``. A controller that feeds ``x[k]`` back to ``u[k]`` without a
+        delay then closes an algebraic loop, which `control.feedback` solves.
 
         Parameters
         ----------
@@ -370,15 +389,19 @@ class KoopmanModel(Estimator):
         for name, allowed in OPTIONS.items():
             value = getattr(self, name)
             if value not in allowed:
-                raise ValueError(f"{name} is {value!r}; choose one of {', '.join(map(str, allowed))}.")
+                raise ValueError(
+                    f"{name} is {arguments.short(repr(value), 60)}; choose one of {', '.join(map(str, allowed))}."
+                )
         if not isinstance(self.dictionary, Dictionary):
             raise ValueError(f"dictionary is {self.dictionary!r}; give one, for example tras.Monomials(2).")
         arguments.whole_number("delays", self.delays, 0)
+        arguments.whole_number("max_functions", self.max_functions)
         if self.strength != "auto":
             arguments.number("strength", self.strength, 0, give="'auto' or a number that is not negative")
         if not isinstance(self.stable, (bool, int, float)) or not 0 <= self.stable <= 1:
             raise ValueError(
-                f"stable is {self.stable!r}; give True, False, or a spectral radius of 0 to 1, such as 0.999."
+                f"stable is {arguments.short(repr(self.stable), 60)}; "
+                "give True, False, or a spectral radius of 0 to 1, such as 0.999."
             )
         if self.columns == "states" and self.predictor != "one_step":
             raise ValueError(f"columns='states' needs predictor='one_step', but it is {self.predictor!r}; use 'all'.")
@@ -417,7 +440,8 @@ class KoopmanModel(Estimator):
         past = [u[:, :d][:, ::-1].reshape(len(u), -1)] if self.channels_.delayed_inputs else []
         z = np.concatenate([x[:, ::-1].reshape(len(x), -1), *past], axis=1)
         z, u = np.ascontiguousarray(z), np.ascontiguousarray(u[:, d:])  # the layout decides the last bits of products
-        states = self.roll_out_scaled(z.T, u.transpose(1, 2, 0))
+        with few_blas_threads(len(self.names_)):
+            states = self.roll_out_scaled(z.T, u.transpose(1, 2, 0))
         return np.concatenate([x[:, :d], states[:, : len(self.state_names_)].transpose(2, 0, 1)], axis=1)
 
 

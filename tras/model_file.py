@@ -66,6 +66,7 @@ def save(model, path):
     """See `tras.KoopmanModel.save`."""
     arrays = {key: value for key in _ARRAYS if (value := getattr(model, key, None)) is not None}
     parameters = {key: value for key, value in model.get_params(deep=False).items() if key != "dictionary"}
+    del parameters["max_functions"]  # a limit of a fit, not of the model
     if not parameters["lead"]:
         del parameters["lead"]  # then the file is as earlier releases write and read it
     header = {
@@ -76,6 +77,8 @@ def save(model, path):
     }
     if hasattr(model, "errors_"):
         header["errors"] = [[float(key), float(value)] for key, value in model.errors_.items()]
+    if getattr(model, "unsettled_", []):
+        header["unsettled"] = model.unsettled_
     if model.hull_ is not None:
         arrays |= {f"hull.{key}": value for key, value in model.hull_.arrays().items()}
         header["free"] = [int(i) for i in model.hull_.free]
@@ -134,6 +137,9 @@ def _restored(header, arrays):
         attributes["hull_"] = Hull.restored(parts, _free(header["free"], z + m, len(parts["centre"])))
     if "errors" in header:
         attributes["errors_"] = _errors(header["errors"])
+    attributes["unsettled_"] = header.get("unsettled", [])
+    if not isinstance(attributes["unsettled_"], list) or not all(map(_is_sentence, attributes["unsettled_"])):
+        raise ValueError("its unsettled are no list of sentences")
     attributes |= {f"{key}_": header[key] for key in ("names", "pairs", "rank", "strength")}
     attributes["fitted_as_"] = tuple(header["fitted_as"])
     attributes |= _checked_arrays(arrays, parameters, functions, z, m, attributes["hull_"] is not None)
@@ -170,6 +176,10 @@ def _free(free, channels, length):
     if length != channels or not isinstance(free, list) or not all(_whole(i, 0) and i < channels for i in free):
         raise ValueError(f"its hull is not one of its {channels} channels")
     return free
+
+
+def _is_sentence(value):
+    return isinstance(value, str) and _is_text(value) and len(value) <= 1000
 
 
 def _errors(errors):
@@ -222,7 +232,7 @@ def _whole(value, low):
 
 
 def _positive(value):
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 < value <= 1e100
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and _LEAST_SCALE <= value <= 1e100
 
 
 def _is_text(word):
@@ -279,9 +289,8 @@ def _unpack(header, place, arrays, channels, depth=0):
     for key, value in _learnt(learnt, place, dictionary, channels).items():
         setattr(dictionary, key, value)
     if hasattr(dictionary, "centres_") and None in (dictionary.seed, dictionary.centres):
-        dictionary.centres = (
-            dictionary.centres_
-        )  # drawn by a Generator, or given: fitted again, the model has the same ones
+        # Drawn by a Generator, or given: fitted again, the model has the same ones.
+        dictionary.centres = dictionary.centres_
         dictionary.seed = 0 if dictionary.seed is None else dictionary.seed
     if dictionary.count() > MAX_FUNCTIONS:
         raise ValueError(f"its dictionary {name} has more than {MAX_FUNCTIONS} functions")
@@ -302,8 +311,9 @@ def _learnt(arrays, place, dictionary, channels):
         raise ValueError(f"it lacks what its dictionary {type(dictionary).__name__} has learnt, or has more")
     for key, value in values.items():
         require_numbers(f"{place}.{key}", value, shapes[key], _LEAST_SCALE if key == "width_" else -1e100)
+    fractional = any(values[key].dtype.kind not in "iu" for key in ("n_states_", "n_inputs_"))
     values = {key: value.item() if value.ndim == 0 else value for key, value in values.items()}
-    if (values["n_states_"], values["n_inputs_"]) != channels:
+    if (values["n_states_"], values["n_inputs_"]) != channels or fractional:
         raise ValueError(f"its dictionary is not of {channels[0]} states and {channels[1]} inputs")
     if "kept_" in values:
         _check_choice(values["kept_"], dictionary, 1 + sum(channels))
@@ -319,7 +329,8 @@ def _check_choice(kept, combination, head):
     if most > MAX_FUNCTIONS:
         raise ValueError(f"its dictionary has {most} functions in its parts, up to {MAX_FUNCTIONS} are read")
     sound = kept.dtype.kind == "i" and len(kept) >= head and (kept[:head] == np.arange(head)).all()
-    if not (sound and (np.diff(kept) > 0).all() and kept[-1] < most):
+    sound = sound and 0 <= kept.min() and kept.max() < most  # before differences, which may overflow
+    if not (sound and (np.diff(kept) > 0).all()):
         raise ValueError("its dictionary chooses functions that its parts do not have")
 
 

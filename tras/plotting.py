@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import matplotlib.style
 import pandas as pd
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -28,10 +29,25 @@ MECHANICAL = {"color": "#6CC4A4", "linestyle": "-", "linewidth": 2.8}  # wide an
 
 
 @contextmanager
-def styled():
-    """The project's style, in a ``with`` block or as ``@styled()`` over a function, whatever the user's settings."""
-    with matplotlib.style.context(STYLE, after_reset=True):
+def styled(**settings):
+    """The project's style, in a ``with`` block or as ``@styled()`` over a function, whatever the user's settings.
+
+    ``settings`` are matplotlib's own, on top of the style.
+    """
+    with matplotlib.style.context([STYLE, settings], after_reset=True):
         yield
+
+
+def plain_decades(axis: Axis) -> None:
+    """Numbers of a logarithmic axis as text: 0.01, not ten to a power; 2 and 5 too where few decades are seen."""
+
+    def between(value, _):
+        low, high = axis.get_view_interval()
+        few = 0 < high <= 50 * low and f"{value:e}"[0] in "25"
+        return f"{value:g}" if few else ""
+
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(between)
 
 
 class _Shown(Figure):
@@ -54,12 +70,13 @@ def plain(text: str) -> str:
     return f" {line}" if line.startswith("_") else line
 
 
-@styled()
 def new_figure(
     height: float = 2.4,
     rows: int = 1,
     columns: int = 1,
     sharex: bool | Literal["none", "all", "row", "col"] = True,
+    *,
+    formulas: bool = True,
     **subplot_options,
 ) -> tuple[Figure, Any]:
     """An empty figure one column wide, and its axes: one, or an array of them.
@@ -70,12 +87,16 @@ def new_figure(
         In inches.
     rows, columns : int
         Panels.
+    formulas : bool
+        Numbers at axes are formulas, as in the paper. As text they take a quarter of the time less: for pages made
+        while somebody waits.
     sharex, **subplot_options
         As for `matplotlib.figure.Figure.subplots`.
     """
-    figure = _Shown(figsize=(WIDTH, height), layout="constrained")
-    axes = figure.subplots(rows, columns, sharex=sharex, **subplot_options)
-    figure.align_ylabels()
+    with styled(**{"axes.formatter.use_mathtext": formulas}):
+        figure = _Shown(figsize=(WIDTH, height), layout="constrained")
+        axes = figure.subplots(rows, columns, sharex=sharex, **subplot_options)
+        figure.align_ylabels()
     return figure, axes
 
 
@@ -121,11 +142,13 @@ def save_figure(figure: Figure, table: pd.DataFrame, stem: str | Path) -> list[P
 
 @styled()
 def _write(figure, table, pdf, svg, png, csv):
-    if figure.get_layout_engine() is not None:
-        # Every draw lays out anew, from where the last one left off: once settled, the bytes stay the same.
-        figure.draw_without_rendering()
-        figure.draw_without_rendering()
-        figure.set_layout_engine("none")
+    if (engine := figure.get_layout_engine()) is not None:
+        # Every layout begins where the last one left off: once settled, the bytes stay the same. To draw, which lays
+        # out too, would take twice the time, and so would an engine that is still there when a file is written.
+        FigureCanvasAgg(figure)
+        engine.execute(figure)
+        engine.execute(figure)
+        figure.set_layout_engine(None)
     # None leaves an entry out: dates change from run to run and versions from machine to machine. The style must hold
     # here as well, because dpi, fonts and the hash salt of SVG are looked up when a figure is written.
     figure.savefig(pdf, format="pdf", metadata={"Creator": None, "Producer": None, "CreationDate": None})

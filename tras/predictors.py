@@ -30,6 +30,44 @@ class Map(NamedTuple):
         values = self.matrix @ self.dictionary.lift(near)
         return values if near is point else values + self.outward @ (point - near)
 
+    def with_slopes(self, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Values (rows, points), and their exact derivatives by all channels (points, rows, channels)."""
+        near = point if self.hull is None else self.hull.nearest(point)
+        psi, slopes = self.dictionary.lift_with_slopes(near, inputs=True)
+        values = self.matrix @ psi
+        slopes = (self.matrix @ slopes.reshape(len(psi), -1)).reshape(len(values), *slopes.shape[1:])
+        slopes = np.ascontiguousarray(slopes.transpose(2, 0, 1))
+        if near is not point:
+            projection = self.hull.slopes(point)
+            values = values + self.outward @ (point - near)
+            slopes = slopes @ projection + self.outward @ (np.eye(len(point)) - projection)
+        return values, slopes
+
+
+def _shifted(model, later, z, u):
+    """What is known of the earlier samples is shifted, not predicted: ``later`` (n', batch) with those of z and u."""
+    n, d = len(model.state_names_), model.delays
+    if d:
+        later[n : n * (d + 1)] = z[: n * d]
+        if model.channels_.delayed_inputs:
+            past, m = n * (d + 1), len(u)
+            later[past : past + m], later[past + m :] = u, z[past:-m]
+    return later
+
+
+def _shifted_slopes(model, slopes):
+    """Its derivatives (batch, n', n' + m)."""
+    n, d, count = len(model.state_names_), model.delays, slopes.shape[1]
+    if d:
+        slopes[:, n:] = 0
+        shifts = np.arange(n, n * (d + 1))
+        slopes[:, shifts, shifts - n] = 1
+        if model.channels_.delayed_inputs:
+            m, past = slopes.shape[2] - count, np.arange(n * (d + 1), count)
+            slopes[:, past[:m], count + np.arange(m)] = 1
+            slopes[:, past[m:], past[m:] - m] = 1
+    return slopes
+
 
 class _Relifting:
     """What integrating and stepping have in common: psi(x, u) is evaluated anew at each predicted state."""
@@ -44,18 +82,22 @@ class _Relifting:
 
     def roll_out(self, model, z, u):
         """Scaled states (samples, n', batch) from z (n', batch) under u (samples, m, batch)."""
-        n, d, step = len(model.state_names_), model.delays, self.stepper(model)
+        return rollout.roll_out(self.advance(model), z, u)
+
+    def advance(self, model):
+        """``(z, u) -> z`` one sample later, (n', batch) and (m, batch) in scaled channels."""
+        step = self.stepper(model)
+        return lambda z, u: _shifted(model, step(z, u), z, u)
+
+    def advance_with_slopes(self, model):
+        """The same with its exact derivatives by z and u: ``(z, u) -> ((n', batch), (batch, n', n' + m))``."""
+        step = self.stepper_with_slopes(model)
 
         def advance(z, u):
-            later = step(z, u)
-            if d:  # what is known of the earlier samples is shifted, not predicted
-                later[n : n * (d + 1)] = z[: n * d]
-                if model.channels_.delayed_inputs:
-                    past, m = n * (d + 1), len(u)
-                    later[past : past + m], later[past + m :] = u, z[past:-m]
-            return later
+            later, slopes = step(z, u)
+            return _shifted(model, later, z, u), _shifted_slopes(model, slopes)
 
-        return rollout.roll_out(advance, z, u)
+        return advance
 
 
 class VectorField(_Relifting):
@@ -93,6 +135,10 @@ class VectorField(_Relifting):
         field = self.map(model)
         return lambda z, u: rollout.runge_kutta(field, z, u, model.dt_, model.substeps_)
 
+    def stepper_with_slopes(self, model):
+        field = self.map(model).with_slopes
+        return lambda z, u: rollout.runge_kutta_with_slopes(field, z, u, model.dt_, model.substeps_)
+
 
 class OneStep(_Relifting):
     """The states' columns of K give the next state, which is lifted again. Needs no logarithm."""
@@ -110,6 +156,10 @@ class OneStep(_Relifting):
         step = self.map(model)
         return lambda z, u: step(np.concatenate([z, u]))
 
+    def stepper_with_slopes(self, model):
+        step = self.map(model).with_slopes
+        return lambda z, u: step(np.concatenate([z, u]))
+
 
 class LiftedLinear:
     """The states are lifted once, then ``z+ = A z + B u`` (M. Korda and I. Mezic, Automatica 93, 2018, 149)."""
@@ -124,7 +174,12 @@ class LiftedLinear:
         """A, transposed, and B from the change D; the inputs' rows stand behind those of constant and states."""
         n, m = len(model.dictionary_.coordinates), len(model.input_names_)
         if model.stable:
-            D = stable_change(least_squares, D, n, m, radius=float(model.stable))
+
+            def unsettled(iterations):
+                how = f"ended after {iterations} iterations that still gained"
+                model.unsettled_.append(f"the search of a stable matrix {how}: a better one is likely")
+
+            D = stable_change(least_squares, D, n, m, radius=float(model.stable), unsettled=unsettled)
         of_inputs = np.zeros(len(D), dtype=bool)
         of_inputs[1 + n : 1 + n + m] = True
         model.koopman_matrix = np.eye(len(model.names_)) + D[~of_inputs]
@@ -139,6 +194,23 @@ class LiftedLinear:
         """As the others', but the lifting is carried on."""
         A, B, rows = model.koopman_matrix.T, model.B_, model.dictionary_.coordinates
         return rollout.roll_out(lambda s, v: A @ s + B @ v, model.dictionary_.lift(z), u, lambda s: s[rows])
+
+    def advance(self, model):
+        """One sample from a state that is lifted anew, as the first sample of `roll_out` is."""
+        A, B, rows = model.koopman_matrix.T, model.B_, model.dictionary_.coordinates
+        return lambda z, u: _shifted(model, A[rows] @ model.dictionary_.lift(z) + B[rows] @ u, z, u)
+
+    def advance_with_slopes(self, model):
+        """See `_Relifting.advance_with_slopes`."""
+        A, B, rows = model.koopman_matrix.T, model.B_, model.dictionary_.coordinates
+
+        def advance(z, u):
+            psi, slopes = model.dictionary_.lift_with_slopes(z)
+            by_state = np.einsum("ij,jkp->pik", A[rows], slopes)
+            both = np.concatenate([by_state, np.broadcast_to(B[rows], (len(by_state), *B[rows].shape))], axis=2)
+            return _shifted(model, A[rows] @ psi + B[rows] @ u, z, u), _shifted_slopes(model, both)
+
+        return advance
 
 
 PREDICTORS = {"vector_field": VectorField(), "one_step": OneStep(), "lifted_linear": LiftedLinear()}

@@ -234,6 +234,34 @@ class Recording:
                 origins.append(i)
         return self._of(states, inputs, origins)
 
+    def decimated(self, every: int, lead: int = 0) -> "Recording":
+        """Every ``every``-th sample of the states, and the means of the inputs over the samples between.
+
+        The mean of a fast input does the same work on a slow system as the input itself. With ``lead=1`` the mean is
+        that of the samples up to a kept one, for models with that `lead`; otherwise of those from it on.
+
+        Examples
+        --------
+        >>> recording = Recording([[[0.0], [1.0], [2.0], [3.0], [4.0]]], [[[0.0], [2.0], [4.0], [6.0], [8.0]]], 0.1)
+        >>> fewer = recording.decimated(2)
+        >>> fewer.states[0].ravel(), fewer.inputs[0].ravel(), fewer.dt
+        (array([0., 2., 4.]), array([1., 5., 8.]), 0.2)
+        """
+        every = whole_number("every", every)
+        if every < 1 or lead not in (0, 1):
+            raise ValueError(f"every = {every}, lead = {lead!r}; give 1 sample or more, and a lead of 0 or 1.")
+        if every == 1:
+            return self
+        states, inputs = [], []
+        for x, u in self:
+            states.append(x[::every])
+            starts = np.arange(0, len(x), every)
+            u = np.concatenate([np.repeat(u[:1], every - 1, axis=0), u])[: len(starts) * every] if lead else u
+            inputs.append(np.add.reduceat(u, starts) / np.diff(starts, append=len(u))[:, None])
+        new = self._of(states, inputs, range(len(self)))
+        new.dt = every * self.dt
+        return new
+
     def delayed(self, delays: int, *, inputs: bool = False) -> "Recording":
         """The states of ``delays`` earlier samples, newest first, as states beside the present ones, and the earlier
         inputs if asked.

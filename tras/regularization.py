@@ -10,6 +10,7 @@ import numpy as np
 from scipy import linalg
 
 METHODS = ("shrink", "tikhonov", "truncated", "sparse")
+ROUNDS = 10  # of sequential thresholding, at most
 STRENGTHS = (0.0, 1e-4, 1e-3, 1e-2, 3e-2, 1e-1, 1.0)  # what `strength="auto"` tries
 
 
@@ -27,7 +28,8 @@ def regularized(method: str, R: np.ndarray, rotated: np.ndarray, head: int) -> C
         functions alike (A. N. Tikhonov; P. C. Hansen, *Rank-Deficient and Discrete Ill-Posed Problems*, 1998).
         ``"truncated"``: singular values below ``strength`` times the largest are left out.
         ``"sparse"``: sequential thresholding (S. L. Brunton et al., PNAS 113, 2016, 3932): functions that contribute
-        less than ``strength`` times the size of a target's change are dropped from it, and the rest is fitted anew.
+        less than ``strength`` times the size of a target's change are dropped from it, and the rest is fitted anew, up
+        to ten times (`unsettled` tells whether that was enough).
     R : (p, p) ndarray
         Upper triangular factor of the regressors, the head first.
     rotated : (p, q) ndarray
@@ -68,7 +70,14 @@ def _shrink(R, rotated, head):
     return shrunk
 
 
-def _sequential_thresholding(R, rotated, strength, rounds=10):
+def unsettled(R: np.ndarray, rotated: np.ndarray, strength: float, D: np.ndarray) -> int:
+    """How many targets of a ``"sparse"`` D still hold a function below the threshold: their rounds were used up."""
+    contributions = np.abs(D) * np.linalg.norm(R, axis=0)[:, None]
+    below = (contributions > 0) & (contributions < strength * np.linalg.norm(rotated, axis=0))
+    return int(below.any(axis=0).sum())
+
+
+def _sequential_thresholding(R, rotated, strength, rounds=ROUNDS):
     D = linalg.solve_triangular(R, rotated, check_finite=False)
     norms = np.linalg.norm(R, axis=0)
     for j in range(rotated.shape[1]):

@@ -65,6 +65,34 @@ def runge_kutta(field: Callable, z: np.ndarray, u: np.ndarray, dt: float, subste
     return z
 
 
+def runge_kutta_with_slopes(
+    field: Callable, z: np.ndarray, u: np.ndarray, dt: float, substeps: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """`runge_kutta`, and its exact derivatives by z and u: (n, batch) and (batch, n, n + m).
+
+    ``field`` returns rates (n, batch) and their slopes (batch, n, n + m). The derivatives are those of the steps, not
+    of the flow that these approximate: each stage's are carried along.
+    """
+    h, n = dt / substeps, len(z)
+    slopes = np.zeros((z.shape[1], n, n + len(u)))
+    slopes[:, range(n), range(n)] = 1
+
+    def stage(k, K, share):
+        rates, J = field(np.concatenate([z if k is None else z + share * k, u]))
+        later = J[:, :, :n] @ (slopes if K is None else slopes + share * K)
+        later[:, :, n:] += J[:, :, n:]
+        return rates, later
+
+    for _ in range(substeps):
+        k1, K1 = stage(None, None, 0)
+        k2, K2 = stage(k1, K1, h / 2)
+        k3, K3 = stage(k2, K2, h / 2)
+        k4, K4 = stage(k3, K3, h)
+        z = z + h / 6 * (k1 + 2 * (k2 + k3) + k4)
+        slopes = slopes + h / 6 * (K1 + 2 * (K2 + K3) + K4)
+    return z, slopes
+
+
 def enough_substeps(
     field: Callable, z: np.ndarray, u: np.ndarray, dt: float, tolerance: float = 1e-8, most: int = 64
 ) -> int:

@@ -20,6 +20,7 @@ def _fit(model):
         f"dictionary {model.dictionary_}, N = {len(model.names_)} functions, {model.pairs_} snapshot pairs",
         f"numerical rank {model.rank_}, condition number of the liftings {model.condition_number:.2e}",
         f"regularization {model.regularization}, strength {model.strength_:g}{chosen}",
+        *getattr(model, "unsettled_", []),
     ]
 
 
@@ -67,7 +68,14 @@ def _prediction(model, recording):
     one = metrics.judge(short.states[:, -1:], np.asarray(model.predict(short))[:, -1:])
     many = metrics.judge(recording.states, model.predict(recording))
     names = map(one_line, model.state_names_)
-    both = ", ".join(f"{name} {a:.3g} and {b:.3g} %" for name, a, b in zip(names, one.nrmse, many.nrmse))
+    both = ", ".join(f"{name} {_percent(a)} and {_percent(b)}" for name, a, b in zip(names, one.nrmse, many.nrmse))
     steps = f", {one.diverged} of {one.windows} single steps" if one.diverged else ""
     lost = f"{many.diverged} of {many.windows} trajectories{steps}"
     return [f"one-step and multi-step NRMSE: {both}", f"diverged: {lost}"]
+
+
+def _percent(error):
+    """An error in percent, or why there is none."""
+    if np.isfinite(error):
+        return f"{error:.3g} %"
+    return "too large for a number" if np.isinf(error) else "none, for all ran away or nothing moves,"

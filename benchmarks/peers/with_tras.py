@@ -51,7 +51,7 @@ def fit(problem, data):
     if problem.variant in WHOLE:
         functions = dictionary(problem, problem.n + problem.m).fit(problem.states[:1, :2], problem.inputs[:1, :2])
         return functions, koopman.koopman_matrix(functions, data)[0]
-    options = MODELS[problem.variant]
+    options = MODELS[problem.variant] | {"max_functions": 10**6}  # the comparison has limits of its own
     linear = options.get("predictor") == "lifted_linear"
     return tras.KoopmanModel(dictionary(problem, problem.n + problem.m * (not linear)), **options).fit(data)
 

@@ -116,6 +116,50 @@ def test_small_deviations_of_a_lifted_model_are_predicted():
     assert np.abs(change[:, 0]).max() > 1
 
 
+@pytest.mark.parametrize(
+    "predictor, delays",
+    [("vector_field", 0), ("one_step", 0), ("one_step", 2), ("lifted_linear", 0), ("lifted_linear", 2)],
+)
+def test_an_input_of_the_same_instant_is_in_D(predictor, delays):
+    """What a linear model with a lead simulates, the linear system does too: no sample early, none late."""
+    recording = pendulum("one_step")[1]
+    later = recording.with_data(list(recording.states), [np.concatenate([u[:1], u[:-1]]) for u in recording.inputs])
+    options = {"strength": 0.001, "extrapolation": "functions", "lead": 1}  # linear wherever it goes
+    model = tras.KoopmanModel(tras.Monomials(1), predictor, delays, **options).fit(later)
+    system, u = model.linearize(), later.inputs[0]
+    x0, moved = later.states[0, : delays + 1], np.random.default_rng(1).normal(size=u.shape)
+    moved[: delays + 1] = 0
+    x0 = x0 if delays else x0[0]
+    change = (model.simulate(x0, u + moved) - model.simulate(x0, u))[delays:]
+    response = control.forced_response(system, U=moved[delays:].T).outputs.T
+    assert np.allclose(response, change, atol=1e-7 * np.abs(change).max())
+    assert np.allclose(system.D[:, 0], change[1] / moved[delays + 1]) and np.abs(system.D).max() > 0.01
+    assert len(set(system.state_labels)) == len(system.A) and "q" not in system.state_labels
+
+
+def test_feedback_of_a_model_with_a_lead_is_an_algebraic_loop():
+    """The closed loop of python-control is the model's own, with the input solved for at each instant."""
+    recording = pendulum("one_step")[1]
+    later = recording.with_data(list(recording.states), [np.concatenate([u[:1], u[:-1]]) for u in recording.inputs])
+    model = tras.KoopmanModel(tras.Monomials(1), "one_step", strength=0, lead=1).fit(later)
+    gain, centre = np.array([[0.02, 0.3]]), np.array([30.0, 0.0])
+    system = model.linearize()
+    loop = control.feedback(system, control.ss([], [], [], gain, model.dt_), sign=-1)
+    start = np.array([10.0, -0.2])  # deviations from a run that rests at the model's offset
+    x, free = [start], model.simulate(centre, np.zeros((30, 1)))
+    for _ in range(29):
+        # u[k+1] = -gain x[k+1], x[k+1] = onward + D u[k+1]
+        onward = model.simulate(centre + x[-1], np.zeros((2, 1)))[1] - model.simulate(centre, np.zeros((2, 1)))[1]
+        u = -np.linalg.solve(np.eye(1) + gain @ system.D, gain @ onward)
+        x.append(onward + system.D @ u)
+    assert len(free) == len(x)
+    # The loop's state is x - B u.
+    first = start + system.D @ gain @ start
+    run = control.initial_response(loop, np.arange(30) * model.dt_, first).outputs
+    assert np.allclose(run.T, x, atol=1e-9 * np.abs(x).max())
+    assert np.abs(x[-1]).max() < 0.9 * np.abs(x[0]).max()
+
+
 def test_signals_have_the_channels_names():
     model, _ = pendulum("one_step")
     system = model.linearize()

@@ -16,7 +16,7 @@ import tras
 from tras.display import html, plots
 from tras.identification.advice import Advice, AdviceList
 from tras.identification.examples import example
-from tras.plotting import WIDTH
+from tras.plotting import WIDTH, new_figure
 
 HOSTILE = HOSTILE[:5]
 
@@ -57,7 +57,7 @@ def dashes(line):
 def test_the_table_of_a_comparison_is_of_all_trajectories(recording, model, poor):
     position = recording.select(states=["x1"])
     delayed = tras.KoopmanModel(tras.Monomials(1), "one_step", 1).fit(position)
-    table = tras.compare_table(recording, model, delayed, names=["plain", "late"]).set_index(["state", "model"])
+    table = tras.compare(recording, model, delayed, names=["plain", "late"]).table.set_index(["state", "model"])
     assert list(table.index) == [("x1", "plain"), ("x1", "late"), ("x2", "plain")]
     later = recording.with_data([x[1:] for x, _ in recording], [u[1:] for _, u in recording])
     runs = {"plain": model.predict(later), "late": delayed.predict(position)[:, 1:]}
@@ -66,9 +66,10 @@ def test_the_table_of_a_comparison_is_of_all_trajectories(recording, model, poor
         pair = later.states[..., [i]], runs[name][..., [i]]
         row = table.loc[(state, name)]
         assert np.allclose([row["fit"], row["nrmse"]], np.ravel([tras.metrics.bfr(*pair), tras.metrics.nrmse(*pair)]))
-    one = tras.compare_table(recording[[3]], poor)
+    one = tras.compare(recording[[3]], poor).table
     legends = [
-        panel.get_legend().get_texts()[1].get_text() for panel in tras.compare(recording, poor, trajectory=3).axes
+        panel.get_legend().get_texts()[1].get_text()
+        for panel in tras.compare(recording, poor, trajectory=3).figure.axes
     ]
     assert [text.rpartition(": ")[2] for text in legends] == [f"{fit:.3g} %" for fit in one["fit"]]
 
@@ -76,35 +77,30 @@ def test_the_table_of_a_comparison_is_of_all_trajectories(recording, model, poor
 def test_the_table_counts_what_diverged(recording, model):
     wild = tras.KoopmanModel(tras.Monomials(1)).fit(recording)
     wild.W_ = wild.W_ + 40 * np.eye(2, wild.W_.shape[1], 1)
-    table = tras.compare_table(recording, wild)
+    table = tras.compare(recording, wild).table
     assert (table["diverged"] == 6).all() and (table["trajectories"] == 6).all() and table["fit"].isna().all()
 
 
-def test_a_table_needs_models(recording, model):
-    with pytest.raises(ValueError, match="there is no model"):
-        tras.compare_table(recording)
-    with pytest.raises(ValueError, match="give a list of 1, one per model"):
-        tras.compare_table(recording, model, names=["a", "b"])
-
-
 def test_compare_says_the_fit_that_the_metric_has(recording, model, poor):
-    figure = tras.compare(recording, model, poor, names=["good", "poor"], trajectory=2)
+    figure = tras.compare(recording, model, poor, names=["good", "poor"], trajectory=2).figure
     one = recording[2]
     for i, panel in enumerate(figure.axes):
         texts = [text.get_text() for text in panel.get_legend().get_texts()]
         fits = [tras.metrics.bfr(one.states, each.predict(one))[i] for each in (model, poor)]
         assert texts == ["measured", f"good: {fits[0]:.3g} %", f"poor: {fits[1]:.3g} %"]
         assert fits[0] > 99 and fits[1] < 90
-        truth, *predictions = panel.get_lines()
+        truth, *predictions = panel.get_lines()[:3]
         assert np.array_equal(truth.get_ydata(), one.states[0][:, i])
-        assert np.array_equal(predictions[1].get_ydata(), poor.predict(one)[0][:, i])
-        assert len({str(dashes(line)) for line in panel.get_lines()}) == 3
+        shown, run = predictions[1].get_ydata(), poor.predict(one)[0][:, i]
+        inside = (run >= panel.get_ylim()[0]) & (run <= panel.get_ylim()[1])
+        assert np.allclose(shown[inside], run[inside], rtol=1e-9) and inside.sum() > 40
+        assert len({str(dashes(line)) for line in (truth, *predictions)}) == 3
         assert np.allclose(truth.get_xdata(), np.arange(80) * 0.05)
     assert figure.axes[-1].get_xlabel() == "time (s), trajectory 2 of 6"
 
 
 def test_five_models_differ_without_colour(recording, model):
-    panel = tras.compare(recording, *[model] * 5, states=["x1"]).axes[0]
+    panel = tras.compare(recording, *[model] * 5, states=["x1"]).figure.axes[0]
     assert len({str(dashes(line)) for line in panel.get_lines()}) == 6
     names = [text.get_text().partition(":")[0] for text in panel.get_legend().get_texts()]
     assert names == ["measured", *(f"Monomials [{i}]" for i in range(1, 6))]
@@ -114,7 +110,7 @@ def test_models_with_delays_begin_together(recording, model):
     noisy = tras.add_noise(recording, 0.01, 0)  # else a delay says nothing new
     late = tras.KoopmanModel(tras.Monomials(1), "one_step", delays=3).fit(noisy)
     positions = tras.KoopmanModel(tras.Monomials(1), "one_step", delays=2).fit(noisy.select(states=["x1"]))
-    figure = tras.compare(recording, model, late, positions, names=["a", "b", "c"])
+    figure = tras.compare(recording, model, late, positions, names=["a", "b", "c"]).figure
     first, second = figure.axes
     assert [len(line.get_ydata()) for line in first.get_lines()] == [80, 77, 77, 77]
     assert [text.get_text()[0] for text in second.get_legend().get_texts()] == ["m", "a", "b"]
@@ -131,15 +127,51 @@ def test_a_prediction_that_diverges_is_said(recording, model):
         def predict(self, recording):
             return recording.states * 10.0 ** np.arange(recording.lengths[0])[:, None]
 
-    panel = tras.compare(recording, Diverging(), model).axes[0]
+    panel = tras.compare(recording, Diverging(), model).figure.axes[0]
     assert panel.get_legend().get_texts()[1].get_text() == "Monomials(degree=3): diverged"
-    assert np.isnan(panel.get_lines()[1].get_ydata()).any()
-    assert max(map(abs, panel.get_ylim())) < 6 * np.ptp(recording.states)
+    truth, curve = recording.states[0, :, 0], panel.get_lines()[1]
+    assert panel.get_ylim()[0] > truth.min() - 0.9 * np.ptp(truth)
+    assert panel.get_ylim()[1] < truth.max() + 0.9 * np.ptp(truth)
+    (triangle,) = triangles(panel)
+    low, high = panel.get_ylim()
+    edge = low if truth[0] < 0 else high
+    assert triangle.get_ydata() == [edge] and triangle.get_marker() == ("v" if truth[0] < 0 else "^")
+    # It stands on the curve, which the frame cuts there.
+    assert np.isclose(np.interp(triangle.get_xdata()[0], curve.get_xdata(), curve.get_ydata()), edge)
+
+
+def triangles(panel):
+    return [line for line in panel.get_lines() if line.get_label() == "_leaves"]
+
+
+@pytest.mark.parametrize("before, up", [([0.5, 0.9], True), ([-0.5, -0.9], False), ([0.5], True)])
+def test_a_curve_that_ends_in_nan_leaves_by_its_last_step(before, up):
+    truth = np.sin(np.arange(10.0))
+    run = np.array([*before, *[np.nan] * (10 - len(before))])
+    figure, panel = new_figure()
+    frame = plots.frame_of(truth, run)
+    line = plots.draw_in_frame(panel, np.arange(10), run, frame)
+    (triangle,) = triangles(panel)
+    assert triangle.get_ydata() == [frame[up]] and panel.get_ylim() == frame
+    assert np.array_equal(line.get_ydata()[: len(before)], before) and len(before) - 1 < triangle.get_xdata()[0]
+
+
+@given(st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=2, max_size=20))
+def test_no_run_squashes_the_truth(values):
+    """The frame holds the truth, and at most 1.5 times its range more; whatever is drawn is finite."""
+    truth, run = np.linspace(-1, 1, len(values)), np.array(values)
+    low, high = plots.frame_of(truth, run)
+    assert low < -1 and 1 < high and high - low <= 1.1 * 2.5 * 2
+    figure, panel = new_figure()
+    drawn = plots.draw_in_frame(panel, np.arange(len(run)), run, (low, high)).get_ydata()
+    seen = np.isfinite(run) & (run >= low) & (run <= high)
+    assert np.array_equal(drawn[seen], run[seen])
+    assert bool(triangles(panel)) == bool((~np.isnan(run) & ~seen).any() or (seen[:-1] & np.isnan(run[1:])).any())
 
 
 def test_a_constant_state_has_no_fit(recording, model):
     still = recording.with_data([0 * x for x, _ in recording], [u for _, u in recording])
-    assert "no fit: constant" in tras.compare(still, model).axes[0].get_legend().get_texts()[1].get_text()
+    assert "no fit: constant" in tras.compare(still, model).figure.axes[0].get_legend().get_texts()[1].get_text()
 
 
 @pytest.mark.parametrize("draw", ["recording", "model", "two", "five", "spectrum"])
@@ -147,9 +179,9 @@ def test_a_figure_fits_its_column(draw, recording, model, poor):
     figure = {
         "recording": recording.plot,
         "model": lambda: model.plot(recording),
-        "two": lambda: tras.compare(recording, model, poor, names=["mechanical", "linear"]),
-        "five": lambda: tras.compare(
-            recording, *[model, poor] * 2, model, names=["MMMM", "l" * 22, "m", "W" * 30, "x"]
+        "two": lambda: tras.compare(recording, model, poor, names=["mechanical", "linear"]).figure,
+        "five": lambda: (
+            tras.compare(recording, *[model, poor] * 2, model, names=["MMMM", "l" * 22, "m", "W" * 30, "x"]).figure
         ),
         "spectrum": model.plot_spectrum,
     }[draw]()
@@ -265,7 +297,7 @@ def test_hostile_names_are_text_everywhere():
     names = [row[0].text for row in ElementTree.fromstring(recording._repr_html_()).iter("tr")][1:]
     assert names[:3] == [HOSTILE[0], HOSTILE[1], "_a b"] and names[4] == "ü" * 39 + "…"
     assert "\n" not in repr(recording) and len(repr(recording)) < 300
-    for figure in (recording.plot(), model.plot(recording), tras.compare(recording, model, names=["_$x$"])):
+    for figure in (recording.plot(), model.plot(recording), tras.compare(recording, model, names=["_$x$"]).figure):
         _, texts = visible_texts(figure)
         assert all(len(text.get_text()) <= 45 for text in texts)
     assert " _\\$x\\$: " in figure.axes[0].get_legend().get_texts()[1].get_text()

@@ -98,21 +98,21 @@ def error(model, computed, true):
 # --- C --------------------
 
 
-def compiled(model, path):
+def compiled(model, path, **options):
     """The generated functions, as Python functions of arrays."""
-    files = tras.export.to_c(model, path)
+    files = tras.export.to_c(model, path, **options)
     library = path.with_suffix(".so")
     flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", "-shared", "-fPIC"]
     compiler = subprocess.run([CC, *flags, str(files[1]), "-o", str(library), "-lm"], capture_output=True, text=True)
     assert compiler.returncode == 0 and not compiler.stderr, compiler.stderr
     functions = ctypes.CDLL(str(library))
 
-    def call(name, size, *arguments):
-        out = np.full(size + 1, 77.0)  # one more, which must not be written to
+    def call(name, sizes, *arguments):
+        outs = [np.full(size + 1, 77.0) for size in np.atleast_1d(sizes)]  # one more, which must not be written to
         arrays = [np.ascontiguousarray(a, dtype=float) for a in arguments]
-        getattr(functions, name)(*(a.ctypes.data_as(ctypes.c_void_p) for a in (*arrays, out)))
-        assert out[-1] == 77
-        return out[:-1]
+        getattr(functions, name)(*(a.ctypes.data_as(ctypes.c_void_p) for a in (*arrays, *outs)))
+        assert all(out[-1] == 77 for out in outs)
+        return outs[0][:-1] if np.ndim(sizes) == 0 else [out[:-1] for out in outs]
 
     return call
 
@@ -179,6 +179,51 @@ def test_c_may_write_the_next_state_over_the_present_one(fitted, experiment, tmp
     pointer = lambda a: a.ctypes.data_as(ctypes.c_void_p)  # noqa: E731
     library.rig_step(pointer(same), pointer(np.ascontiguousarray(inputs[0, 2])), pointer(same))
     assert np.array_equal(same, expected)
+
+
+def differences(function, point, step=1e-4):
+    """The Jacobian of a function of scaled channels, by central differences of order 4."""
+    columns = []
+    for direction in np.eye(len(point)) * step:
+        near, far = (function(point + k * direction) - function(point - k * direction) for k in (1, 2))
+        columns.append((8 * near - far) / (12 * step))
+    return np.transpose(columns)
+
+
+@needs_cc
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_c_has_the_exact_slopes_of_its_step(case, fitted, experiment, tmp_path):
+    """What differences of the step tend to, on both sides of the hull's edge, through all substeps and shifts."""
+    model = fitted(*case)
+    call = compiled(model, tmp_path / "rig.c", slopes=True)
+    x0, inputs = runs(model, experiment, model.delays + 2)
+    m, linear = len(model.u_scale_), model.predictor == "lifted_linear"
+    for x, u in zip(stacked(model, x0, inputs)[::5], inputs[::5, model.delays]):
+        x = call("rig_lift", len(model.names_), x) if linear else x
+        count = len(x)
+        scale = np.ones(count) if linear else model.channels_.z_scale
+        scales = np.concatenate([scale, model.u_scale_])
+        following, by_x, by_u = call("rig_slopes", (count, count**2, count * m), x, u)
+        step = lambda point: call("rig_step", count, point[:count] * scale, point[count:] * scales[count:]) / scale  # noqa: E731, B023
+        assert np.allclose(following / scale, step(np.concatenate([x, u]) / scales), rtol=1e-12, atol=1e-12)
+        computed = np.hstack([by_x.reshape(count, count), by_u.reshape(count, m)]) * scales / scale[:, None]
+        expected = differences(step, np.concatenate([x, u]) / scales)
+        assert np.abs(computed - expected).max() <= 1e-8 * max(1.0, np.abs(expected).max())
+
+
+@needs_cc
+def test_c_has_the_slopes_of_the_dictionarys_own_jacobian(fitted, experiment, tmp_path):
+    """And with one_step no substeps stand between them."""
+    for name in SHIPPED:
+        model = fitted(name, "one_step", 0, "linear")
+        call = compiled(model, tmp_path / f"{name}.c", slopes=True)
+        point = model.x_offset_ + 0.1 * model.x_scale_, model.u_offset_ - 0.1 * model.u_scale_
+        z, v = model.channels_.points(*point)
+        assert model.hull_.nearest(np.concatenate([z, v])[:, None]).ravel().tolist() == [*z, *v]
+        slopes = model.map().matrix @ model.dictionary_.jacobian(z, v)
+        by_x = call(f"{name}_slopes", (4, 16, 8), *point)[1].reshape(4, 4)
+        expected = slopes[:4] * model.x_scale_[:, None] / model.x_scale_
+        assert np.allclose(by_x, expected, rtol=1e-11, atol=1e-11 * np.abs(expected).max())
 
 
 # --- Octave --------------------

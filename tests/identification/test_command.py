@@ -76,11 +76,12 @@ def test_the_page_is_whole_and_needs_no_network(checkout):
     text = (checkout / "build" / "identify" / "duffing" / "report.html").read_text(encoding="utf-8")
     tree = ElementTree.fromstring(text.removeprefix("<!DOCTYPE html>\n"))
     images = [image.get("src") for image in tree.iter(f"{NAME}img")]
-    assert len(images) == 6 and all(source.startswith("data:image/") for source in images)
+    assert len(images) == 10 and all(source.startswith("data:image/") for source in images)
     assert [h.text for h in tree.iter(f"{NAME}h2")][1:] == [
         "In short",
         "The recording",
         "How well it predicts",
+        "Step and frequency response",
         "The operator",
         "Files",
         "How the model was chosen",

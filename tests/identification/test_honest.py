@@ -83,6 +83,12 @@ def test_a_lead_is_the_input_one_sample_earlier(predictor, delays, tmp_path):
         assert "lead" not in str(file["header"])
     tras.export.to_c(model, tmp_path / "model.c")
     assert "the input at the end of a sample" in (tmp_path / "model.h").read_text()
+    if predictor == "lifted_linear":
+        system, first = tras.export.to_statespace(model), log.states[0][delays::-1].ravel()
+        z = model.lift(np.concatenate([first, u[1 : delays + 1][::-1].ravel()])) - model.B_ / model.u_scale_ @ u[delays]
+        for k in range(delays, 60):
+            assert np.allclose(system.C @ z + system.D @ u[k], whole[k], rtol=0, atol=1e-7 * np.ptp(part))
+            z = system.A @ z + system.B @ u[k]
     with pytest.raises(ValueError, match="lead is 2"):
         tras.KoopmanModel(tras.Monomials(1), lead=2).fit(log)
 
@@ -98,9 +104,10 @@ def test_predictions_start_from_what_was_measured_up_to_then():
         x[k + 1] = x[k] + dt * v[k + 1]
     log = one(np.round(x * 20 + rng.normal(0, 0.5, n)), u, dt)
     identification = tras.identify(log, draws=0, predictor="one_step")
-    assert of(identification)["nrmse"].max() < 2.5 and identification.model.delays >= 16
+    every = identification.remarks["every"]
+    assert of(identification)["nrmse"].max() < 2.5 and every * identification.model.delays >= 16
     # The truth of a window is the recording's, sample by sample.
-    y, window = log.states[0], identification.test.states[0]
+    y, window = log.decimated(every).states[0], identification.test.states[0]
     assert any(np.array_equal(y[k : k + len(window)], window) for k in range(len(y) - len(window) + 1))
 
 
@@ -239,8 +246,10 @@ def test_a_linear_model_that_is_chosen_is_the_linear_one():
 
 
 @pytest.mark.parametrize("lengths", [[500], [400, 60], [90] * 6, [90, 90, 90, 90, 3], [90, 3, 3, 3, 90], [30] * 12])
-def test_what_is_held_out_and_what_is_learnt_from_are_all_pairs(lengths):
-    learn, judge = preparation.held_out(np.array(lengths), 10)
+@pytest.mark.parametrize("grid", [1, 4])
+def test_what_is_held_out_and_what_is_learnt_from_are_all_pairs(lengths, grid):
+    learn, judge = preparation.held_out(np.array(lengths), 10, grid)
+    assert all(a % grid == 0 and (b % grid == 0 or b == lengths[i] - 1) for i, a, b in judge)
     pairs = [(i, k) for i, a, b in learn + judge for k in range(a, b)]
     assert sorted(pairs) == [(i, k) for i, length in enumerate(lengths) for k in range(length - 1)]
     assert judge and len(pairs) == len(set(pairs)) and sum(b - a for _, a, b in judge) < 0.3 * len(pairs)
@@ -254,3 +263,71 @@ def test_windows_have_their_start_before_them():
     assert preparation.window_length(log, 10, horizon=2.0) == (21, "windows are 2 s long, as the horizon says")
     with pytest.raises(ValueError, match="horizon is -1"):
         preparation.window_length(log, 10, horizon=-1)
+
+
+def pendulum(n=4000, dt=0.01, noise=0.003):
+    """Sampled 200 times per swing, by a sensor with noise."""
+    rng = np.random.default_rng(0)
+    u, state = np.repeat(rng.uniform(-4, 4, n // 80), 80), np.zeros((n, 2))
+    for k in range(n - 1):
+        x, v = state[k]
+        v = v + dt * (-9 * np.sin(x) - 0.6 * v + u[k])
+        state[k + 1] = x + dt * v, v
+    return one(state[:, 0] + rng.normal(0, noise, n), u, dt)
+
+
+def test_longer_steps_are_tried_where_samples_are_finer_than_the_noise_allows():
+    log, clean = pendulum(4800), pendulum(noise=0)
+    assert preparation.steps(log, 200) == [1, 2, 8] and preparation.steps(clean, 200) == [1]
+    assert preparation.steps(log, 33) == [1, 4]  # eight steps to a window
+    assert preparation.steps(log.decimated(8), 200) == [1]
+
+
+def test_longer_steps_tell_the_motion_from_the_noise():
+    log = pendulum()
+    options = {"draws": 0, "predictor": "one_step", "delays": [2], "smoothing": False, "lead": 0}
+    chosen, single = tras.identify(log, **options), tras.identify(log, every=1, **options)
+    every = chosen.remarks["every"]
+    assert every > 1 and single.remarks["every"] == 1 and set(single.search["every"]) == {1}
+    assert of(chosen)["free"].max() < 0.5 * of(single)["free"].max()
+    assert chosen.delivered.dt_ == chosen.recording.dt == pytest.approx(every * log.dt)
+    assert "longer steps" in [each.about for each in chosen.advice]
+    assert "longer steps" not in [each.about for each in single.advice]
+    with pytest.raises(ValueError, match=rf"take recording.decimated\({every}\)"):
+        chosen.model.predict(log)
+    assert chosen.model.predict(log.decimated(every))[0].shape == (-(-4000 // every), 1)
+
+
+def test_a_lone_sample_far_from_both_neighbours_becomes_their_mean():
+    swing = np.sin(np.arange(2000) * 0.05)
+    broken = swing.copy()
+    broken[[700, 1500]] = 40.0, -7.0
+    mended, (remark,) = preparation.without_spikes(one(broken, np.cos(np.arange(2000)), 0.01))
+    assert np.abs(mended.states[0][:, 0] - swing).max() < 0.01 and "x1 has 2 lone samples" in remark
+    assert "the farthest is 40" in remark
+
+
+@pytest.mark.parametrize(
+    "states",
+    [
+        np.sin(np.arange(1000) * 0.05),
+        np.random.default_rng(0).normal(size=1000),
+        np.repeat([0.0, 1.0, 0.0, 5.0, 0.0], 200),
+        np.where(np.arange(1000) % 20 == 0, 1.0, 0.0),  # too many to be lost bytes
+        np.where(np.arange(1000) == 500, 1.0, 0.0),  # all that happens
+        np.r_[np.zeros(500), 9.0, 9.0, np.zeros(498)],
+        np.arange(2.0),
+    ],
+)
+def test_what_moves_by_itself_is_no_lone_sample(states):
+    log = one(states, np.zeros(len(states)), 0.01)
+    same, remarks = preparation.without_spikes(log)
+    assert same is log and not remarks
+
+
+def test_a_field_takes_the_strength_of_one_step_in_the_search():
+    treatments = preparation.Treatments(pendulum(1600, noise=0), [], 2000)
+    table, _ = search.search(treatments, 60, delays=[0], smoothing=False, lead=0)
+    both = table[table["failure"] == ""].pivot_table(index="dictionary", columns="predictor", values="strength")
+    fields = both.dropna()
+    assert len(fields) > 1 and (fields["one_step"] == fields["vector_field"]).all()

@@ -421,6 +421,18 @@ def test_other_code_on_a_worker_is_named(path, cluster, monkeypatch):
         (ONE | {"every": 0}, {}, "grid: every is 0; give a whole number, 1 or more"),
         (ONE | {"split_seed": 1.5}, {}, "grid: split_seed is 1.5; give a whole number"),
         (ONE | {"split_seed": 1}, {"held_out": "log.nc"}, "grid varies split_seed, but held_out is given"),
+        (ONE | {"strength": [0.0] * 200, "every": [1] * 200}, {}, "grid: 40000 points or more, up to 20000 are fitted"),
+        (
+            ONE | dict.fromkeys(("strength", "every", "split_seed", "delays", "lead"), list(range(10**3))),
+            {},
+            "grid: more than 1e12 points or more",
+        ),
+        (
+            ONE | {"dictionary": {"GaussianRBF": {"seed": list(range(200)), "n_centres": list(range(1, 200))}}},
+            {},
+            "grid: 39800 points or more, .* several smaller grids",
+        ),
+        ({"dictionary": {"Union": [{"Monomials": {"degree": list(range(1, 200))}}] * 3}}, {}, "grid: 7880599 points"),
         ([], {}, "grid is empty"),
         ("Monomials", {}, "grid holds 'Monomials'; give a dict option -> list of values"),
         (ONE, {"window": 60.0}, "window = 60 s at 0.1 s per sample: .* pieces need 2 to 61 samples"),
@@ -563,7 +575,7 @@ def test_roles_no_file_no_model_and_ctrl_c(recording, tmp_path, capsys, monkeypa
         "recording": str(tmp_path / "log.csv"),
         "roles": {"time": "stamp", "trial": "trajectory", "states": ["b", "a"], "inputs": ["c"]},
     }
-    description |= {"window": 6.0, "models": {"dictionary": {"Monomials": {"degree": 17}}, "strength": 0.0}}
+    description |= {"window": 6.0, "models": {"dictionary": {"Monomials": {"degree": 16}}, "strength": 0.0}}
     (tmp_path / "mine.yaml").write_text(json.dumps(description))
     call = [str(tmp_path / "mine.yaml"), "--out", str(tmp_path / "out"), "--scheduler", "none"]
     assert command.main(call) == 1

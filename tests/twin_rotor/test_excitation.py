@@ -80,6 +80,11 @@ RNG = np.random.default_rng(0)
         (lambda: tras.multisine(500, 0.01, [400], [1], RNG), "not below pi / dt"),
         (lambda: tras.multisine(500, 0.03, [0.8], [1], RNG), "whole number of samples"),
         (lambda: tras.multisine(500, 0, [0.8], [1], RNG), "dt is 0"),
+        (lambda: tras.multisine(1e300, 0.01, [0.8], [1], RNG), "duration = 1e.300 s at dt = 0.01 s is 1e.302 samples"),
+        (lambda: tras.steps(1e9, 0.01, [1], RNG), "1e.11 samples, more than 1e.08; give a shorter duration, or"),
+        (lambda: tras.chirp(500, 1e-300, [1], [1]), "5e.302 samples"),
+        (lambda: tras.multisine(1e5, 0.01, [80], [1], RNG), "1000 draws of 1273239 lines are 1e.10 numbers"),
+        (lambda: tras.example("duffing", duration=1e12), "duration = 1e.12 s at dt = .* samples, more than 1e.08"),
         (lambda: tras.multisine(500, 0.01, [0.8], [1, 2], RNG), "1 channels but peak has 2"),
         (
             lambda: tras.multisine(50, 0.01, [0.2, 0.2], [1, 1], RNG, max_correlation=1e-9, draws=3),

@@ -25,6 +25,7 @@ kind = "torque"
 lags = [1, 2]
 gains = {"phi": 1.0, "psi": 2.0}
 anything = None
+seeds = [1]
 """
 
 
@@ -58,6 +59,8 @@ MISTAKES = [
     ("zzz: 3.0", r"no parameter `zzz`: choose one of seed, duration, clip"),
     ("seed: 1.5", r"`seed` must be a whole number \(its default is 1\), found 1.5 \(number\)"),
     ("seed: true", r"`seed` must be a whole number .* found True \(true or false\)"),
+    ("seed: -1", r"`seed` is -1: a seed must be 0 or more"),
+    ("seeds: [1, -2]", r"`seeds` is \[1, -2\]: a seed must be 0 or more"),
     ("seed: null", r"`seed` must be a whole number .* found None"),
     ("duration: 1e-6", r"found '1e-6' \(text\): YAML takes 1e-6 for text, write 1.0e-6 without quotes"),
     ("duration: '12'", r"YAML takes 12 for text, write 12 without quotes"),

@@ -2,6 +2,8 @@
 
 import pytest
 
+from tras.sweeps.grid import points
+from tras.workflow.parameters import ParameterError, check_parameters
 from tras.workflow.yaml_file import MAX_BYTES, parse_yaml, read_yaml
 
 
@@ -73,3 +75,17 @@ def test_plain_values_are_read(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_bytes(b'\xef\xbb\xbfa: [1, 2.5, yes, null, text]\nb: {c: "&x *y", 3: 18446744073709551615}\n')
     assert read_yaml(path) == {"a": [1, 2.5, True, None, "text"], "b": {"c": "&x *y", 3: 2**64 - 1}}
+
+
+@pytest.mark.parametrize("name, value", [("x" * 5000, 1), ("duration", "9" * 5000), ("seed", "9" * 5000)])
+def test_long_names_and_values_are_cut_in_the_sentence(name, value):
+    with pytest.raises(ParameterError) as caught:
+        check_parameters({name: value}, {"duration": 1.0, "seed": 1}, "mine.yaml")
+    assert len(str(caught.value)) < 300
+
+
+def test_a_long_option_of_a_sweep_is_cut_in_the_sentence():
+    for option in ({"delays": "9" * 5000}, {"strength": "9" * 5000}, {"dictionary": "9" * 5000}, {"9" * 5000: 1}):
+        with pytest.raises(ValueError, match="^grid: ") as caught:
+            points({"dictionary": "Monomials"} | option)
+        assert len(str(caught.value)) < 300

@@ -1,4 +1,5 @@
-"""What a control engineer asks of a fitted model: residual tests, information criteria, the linear system at a point.
+"""What a control engineer asks of a fitted model: residual tests, criteria, the linear system at a point, responses.
 
-In this order: `residuals`, `linearization`. The models' methods of these names call them.
+In this order: `residuals`, `linearization`, `responses`. The models' methods call the first two, the page of
+`tras.identify` all of them.
 """

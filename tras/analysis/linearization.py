@@ -4,14 +4,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.differentiate import jacobian
+
+from tras.predictors import PREDICTORS
 
 if TYPE_CHECKING:
     from tras.model import KoopmanModel
-
-STEP = 0.02  # half-ranges: the largest step of the differences, halved until they settle
-HALVINGS = 8
-TOLERANCE = 1e-11  # relative
 
 
 class StateSpace(NamedTuple):
@@ -26,37 +23,37 @@ class StateSpace(NamedTuple):
 
 def linearize(model: "KoopmanModel", x: ArrayLike | None = None, u: ArrayLike | None = None) -> Any:
     """See `tras.KoopmanModel.linearize`."""
+    system = matrices(model, x, u)
+    lifted = model.predictor == "lifted_linear"
+    names = [f"z{i + 1}" for i in range(len(system.A))] if lifted else model.channels_.z_names
+    return _named(model, system, names)
+
+
+def matrices(model: "KoopmanModel", x: ArrayLike | None = None, u: ArrayLike | None = None) -> StateSpace:
+    """The matrices of `linearize`, without python-control."""
     model.require_fitted()
+    lead, dt = model.channels_.lead, float(model.dt_)
     if model.predictor == "lifted_linear":
-        return _of_lifting(model)
+        return acting(lead, *_of_lifting(model), dt)
     channels = model.channels_
     x, u = _point(model, x, u)
     z, v = channels.points(x, u)
-    slopes = _slopes_over_a_sample(model, z, v)
+    with np.errstate(over="ignore", invalid="ignore"):
+        slopes = PREDICTORS[model.predictor].advance_with_slopes(model)(z[:, None], v[:, None])[1][0]
+    if not np.isfinite(slopes).all():
+        raise ValueError("the model's prediction from this point runs away; give x and u in the range of its data.")
     count, n = len(z), len(channels.state_names)
     A = slopes[:, :count] * channels.z_scale[:, None] / channels.z_scale
     B = slopes[:, count:] * channels.z_scale[:, None] / channels.u_scale
-    return _system(model, A, B, np.eye(n, count), channels.z_names)
+    return acting(lead, A, B, np.eye(n, count), dt)
 
 
-def _slopes_over_a_sample(model, z, v):
-    """Derivatives of the predicted state (n', n' + m) by state and input, in scaled channels.
+def acting(lead: int, A: np.ndarray, B: np.ndarray, C: np.ndarray, dt: float) -> StateSpace:
+    """``z[k+1] = A z[k] + B u[k + lead]``, ``x = C z`` as a system of the input u[k].
 
-    Of the map that `simulate` repeats, with all that belongs to it: substeps, the hull, delayed samples that shift.
+    With a lead the state is ``z[k] - B u[k]``: what the input of the same instant has not moved yet. So D is ``C B``.
     """
-    count = len(z)
-
-    def one_sample(point):
-        columns = point.reshape(len(point), -1)
-        held = np.stack([columns[count:]] * 2)  # roll_out wants an input at both ends
-        later = model.roll_out_scaled(columns[:count], held)[1]
-        return later.reshape(count, *point.shape[1:])
-
-    settings = {"initial_step": STEP, "maxiter": HALVINGS, "order": 8, "tolerances": {"rtol": TOLERANCE, "atol": 1e-13}}
-    result = jacobian(one_sample, np.concatenate([z, v]), **settings)
-    if not np.isfinite(result.df).all():
-        raise ValueError("the model's prediction from this point runs away; give x and u in the range of its data.")
-    return result.df
+    return StateSpace(A, A @ B, C, C @ B, dt) if lead else StateSpace(A, B, C, np.zeros((len(C), B.shape[1])), dt)
 
 
 def _of_lifting(model):
@@ -65,17 +62,19 @@ def _of_lifting(model):
     A, B = model.koopman_matrix.T[1:, 1:].copy(), model.B_[1:] / scale
     C = np.zeros((n, len(A)))
     C[np.arange(n), model.dictionary_.coordinates[:n] - 1] = model.x_scale_
-    return _system(model, A, B, C, [f"z{i}" for i in range(1, len(A) + 1)])
+    return A, B, C
 
 
-def _system(model, A, B, C, states):
-    system = StateSpace(A, B, C, np.zeros((len(C), B.shape[1])), float(model.dt_))
+def _named(model, system, states):
+    """The system with names of signals, for python-control; ``states`` are those of its states."""
+    n = len(system.C)
     signals = [name.replace(".", "_") for name in (*model.state_names_, *model.input_names_)]  # it allows no dot
-    outputs, inputs = signals[: len(C)], signals[len(C) :]
+    outputs, inputs = signals[:n], signals[n:]
     if len(set(signals)) < len(signals):
-        outputs, inputs = [f"x{i + 1}" for i in range(len(C))], [f"u{i + 1}" for i in range(len(inputs))]
+        outputs, inputs = [f"x{i + 1}" for i in range(n)], [f"u{i + 1}" for i in range(len(inputs))]
     states = [name.replace(".", "_") for name in states]
-    states = states if len(set(states)) == len(states) else [f"z{i + 1}" for i in range(len(states))]
+    if len(set(states)) < len(states) or model.channels_.lead:  # with a lead they are no channels
+        states = [f"z{i + 1}" for i in range(len(states))]
     return for_control(system, inputs=inputs, outputs=outputs, states=states, name="linearized")
 
 

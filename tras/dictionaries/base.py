@@ -10,9 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.base import BaseEstimator
+from sklearn.base import BaseEstimator, clone
 
 POSITIVE = "a positive number, in units of the scaled channels"  # what `tras.workflow.arguments.number` says to give
+MOST_DEGREE = 1000  # of a polynomial or a wave; what is beyond is a slip, and slow to count already
 STRIP = 2**13  # points that are lifted at a time: what some dictionaries make on the way is no larger than that
 
 
@@ -24,14 +25,15 @@ class Dictionary(BaseEstimator):
     ``_learn(z)``
         Sets what depends on the data, in attributes that end in an underscore; these are what a file keeps.
     ``_count()``
-        How many functions follow the head, from the same, before anything is built: a ValueError on a wrong parameter.
+        How many functions follow the head, before anything is learnt or built: a ValueError on a wrong parameter.
     ``_build()``
         Derives the rest from them and from ``n_states_``, ``n_inputs_``; returns how many functions follow the head.
     ``_fill(psi, z)``
         Writes them into ``psi[head:]``; ``psi`` is (N, points), its head (constant, states, inputs) is there already.
         Several threads may call it at once, for strips of points.
     ``_fill_slopes(slopes, psi, z)``
-        Writes their derivatives by the states into ``slopes[head:]``, (N, n, points), zero so far.
+        Writes their derivatives by the first channels into ``slopes[head:]``, zero so far: by the states, (N, n,
+        points), or by the inputs too, (N, n + m, points).
     ``_tail_names(channels)``
         Names them.
     """
@@ -80,10 +82,14 @@ class Dictionary(BaseEstimator):
         """The same as `jacobian`, for points in columns: (n + m, points) -> (N, n, points)."""
         return self.lift_with_slopes(z)[1]
 
-    def lift_with_slopes(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`lift` and `lift_slopes` of the same points at once: most slopes are made of the functions' values."""
-        psi, slopes = self.lift(z), np.zeros((self.size, self.n_states_, z.shape[1]))
-        slopes[self.coordinates, np.arange(self.n_states_)] = 1
+    def lift_with_slopes(self, z: np.ndarray, *, inputs: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """`lift` and `lift_slopes` of the same points at once: most slopes are made of the functions' values.
+
+        With ``inputs`` the slopes by the inputs follow those by the states: (N, n + m, points).
+        """
+        channels = len(z) if inputs else self.n_states_
+        psi, slopes = self.lift(z), np.zeros((self.size, channels, z.shape[1]))
+        slopes[1 + np.arange(channels), np.arange(channels)] = 1
         self._fill_slopes(slopes, psi, z)
         return psi, slopes
 
@@ -124,6 +130,21 @@ class Dictionary(BaseEstimator):
     def count(self) -> int:
         """The number of functions, known from what was learnt before anything is built or lifted."""
         return 1 + self.n_states_ + self.n_inputs_ + self._count()
+
+    def count_of(self, states: int, inputs: int) -> int:
+        """The number of functions of so many channels, known before anything is learnt; of a combination at most.
+
+        >>> import tras
+        >>> tras.Monomials(6).count_of(18, 0)
+        134596
+        """
+        new = clone(self)
+        new.n_states_, new.n_inputs_ = states, inputs
+        return new.count()
+
+    def _count(self):
+        """None behind the head, as far as is known: a subclass says better."""
+        return 0
 
     def restore(self) -> "Dictionary":
         """Ready for use, from what was learnt: also after reading a file."""

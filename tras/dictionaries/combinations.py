@@ -1,5 +1,6 @@
 """Dictionaries of dictionaries: the union of several, the product of two."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -38,7 +39,11 @@ class _Combination(Dictionary):
         self.kept_ = np.array(indices)
 
     def _count(self):
-        return len(self.kept_) - 1 - self.n_states_ - self.n_inputs_
+        if hasattr(self, "kept_"):
+            return len(self.kept_) - 1 - self.n_states_ - self.n_inputs_
+        # So many are made, though those that come twice are dropped.
+        sizes = [part.count_of(self.n_states_, self.n_inputs_) for part in self.parts if isinstance(part, Dictionary)]
+        return self._together(sizes) - 1 - self.n_states_ - self.n_inputs_
 
     def _build(self):
         for part in self.parts_:
@@ -51,7 +56,7 @@ class _Combination(Dictionary):
 
     def _fill_slopes(self, slopes, psi, z):
         head = 1 + len(z)
-        slopes[head:] = self._all_slopes(z)[self.kept_[head:]]
+        slopes[head:] = self._all_slopes(z, slopes.shape[1] > self.n_states_)[self.kept_[head:]]
 
     def _tail_names(self, channels):
         names = self._all_names(channels)
@@ -69,11 +74,13 @@ class Union(_Combination):
     True
     """
 
+    _together = staticmethod(sum)
+
     def _all(self, z):
         return np.concatenate([part.lift(z) for part in self.parts_])
 
-    def _all_slopes(self, z):
-        return np.concatenate([part.lift_slopes(z) for part in self.parts_])
+    def _all_slopes(self, z, inputs):
+        return np.concatenate([part.lift_with_slopes(z, inputs=inputs)[1] for part in self.parts_])
 
     def _all_names(self, channels):
         return [name for part in self.parts_ for name in part.feature_names(channels)]
@@ -97,12 +104,14 @@ class Product(_Combination):
             raise ValueError(f"parts holds {len(self.parts)} dictionaries; a Product is of two, nest it for more.")
         super()._learn(z)
 
+    _together = staticmethod(math.prod)
+
     def _all(self, z):
         a, b = (part.lift(z) for part in self.parts_)
         return (b[:, None] * a[None]).reshape(-1, z.shape[1])  # the constant of b first: the head of a leads
 
-    def _all_slopes(self, z):
-        (a, b), (da, db) = [part.lift(z) for part in self.parts_], [part.lift_slopes(z) for part in self.parts_]
+    def _all_slopes(self, z, inputs):
+        (a, da), (b, db) = (part.lift_with_slopes(z, inputs=inputs) for part in self.parts_)
         slopes = db[:, None] * a[None, :, None] + b[:, None, None] * da[None]
         return slopes.reshape(-1, *slopes.shape[2:])
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tras.dictionaries.base import Dictionary
+from tras.dictionaries.base import MOST_DEGREE, Dictionary
 from tras.workflow import arguments
 
 # Force of an actuator by its speed, beside the linear one: power -> how much lower the degree of its shape is.
@@ -95,7 +95,7 @@ class Mechanical(Dictionary):
             self.origin_ = self._origin
 
     def _count(self):
-        arguments.whole_number("degree", self.degree)
+        arguments.whole_number("degree", self.degree, 1, MOST_DEGREE)
         channels = len(self._roles()[2])
         total = 0
         for word, degree, bend in self._groups():
@@ -105,8 +105,8 @@ class Mechanical(Dictionary):
         return total
 
     def _build(self):
-        arguments.whole_number("degree", self.degree)
-        groups, n = self._groups(), self.n_states_
+        arguments.whole_number("degree", self.degree, 1, MOST_DEGREE)
+        groups = self._groups()
         self._shape = self._roles()[2]
         shapes = {degree: _powers(len(self._shape), degree) for degree in {degree for _, degree, _ in groups}}
         terms = [(k, w, bend) for w, d, bend in groups for k in shapes[d] if bend or sum(k) + len(w) > 1]
@@ -116,10 +116,9 @@ class Mechanical(Dictionary):
         self._bend = np.array([self._bends.index(bend) for _, _, bend in terms])
         # A word has at most two letters: its product is one of two rows of (1, z), 0 standing for the 1.
         self._letters = np.array([[1 + i for i in w] + [0] * (2 - len(w)) for w in self._words]).T
-        # For the slopes: each factor of each word that is a state, and what it leaves.
-        self._factors = [
-            (j, i, w[:k] + w[k + 1 :]) for j, w in enumerate(self._words) for k, i in enumerate(w) if i < n
-        ]
+        # For the slopes: the functions of each word, each factor of it, and what that leaves.
+        rows = [np.flatnonzero(self._word == j) for j in range(len(self._words))]
+        self._factors = [(rows[j], i, w[:k] + w[k + 1 :]) for j, w in enumerate(self._words) for k, i in enumerate(w)]
         return len(terms)
 
     def _groups(self):
@@ -154,7 +153,7 @@ class Mechanical(Dictionary):
 
     def _bent(self, channel):
         """Whether there are data on both sides of a channel's zero: elsewhere z|z| is a polynomial."""
-        return bool(abs(self.origin_[channel]) < _INSIDE)
+        return not hasattr(self, "origin_") or bool(abs(self.origin_[channel]) < _INSIDE)  # before learning: at most
 
     @property
     def confined(self) -> list[int] | None:
@@ -208,12 +207,12 @@ class Mechanical(Dictionary):
             slopes[head:, i] += self._polynomials(derived) * products
         polynomials = self._polynomials(tables)
         for rows, (i, kind) in bent:
-            if i < self.n_states_:
+            if i < slopes.shape[1]:
                 slopes[head + rows, i] += polynomials[rows] * straight[rows] * self._bent_slopes(i, kind, z)
             polynomials[rows] *= self._bent_values(i, kind, z)
-        for j, i, rest in self._factors:
-            rows = np.flatnonzero(self._word == j)
-            slopes[head + rows, i] += polynomials[rows] * (z[rest[0]] if rest else 1.0)
+        for rows, i, rest in self._factors:
+            if i < slopes.shape[1]:
+                slopes[head + rows, i] += polynomials[rows] * (z[rest[0]] if rest else 1.0)
 
     def _bent_values(self, i, kind, z):
         """A function of one channel (points,): a Chebyshev polynomial, or what bends at the channel's zero."""

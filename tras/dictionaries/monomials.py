@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tras.dictionaries.base import Dictionary
+from tras.dictionaries.base import MOST_DEGREE, Dictionary
 from tras.workflow import arguments
 
 _FEW = 256  # points for which calls cost more than copies
@@ -38,12 +38,12 @@ class Monomials(Dictionary):
         return "linear" if self.degree == 1 else f"monomials, degree {self.degree}"
 
     def _count(self):
-        arguments.whole_number("degree", self.degree)
+        arguments.whole_number("degree", self.degree, 1, MOST_DEGREE)
         channels = self.n_states_ + self.n_inputs_
         return math.comb(channels + self.degree, channels) - 1 - channels
 
     def _build(self):
-        arguments.whole_number("degree", self.degree)
+        arguments.whole_number("degree", self.degree, 1, MOST_DEGREE)
         channels = self.n_states_ + self.n_inputs_
         words = [w for k in range(self.degree + 1) for w in itertools.combinations_with_replacement(range(channels), k)]
         index = {word: j for j, word in enumerate(words)}
@@ -62,8 +62,8 @@ class Monomials(Dictionary):
         ]
         self._runs = [(slice(j[0], j[-1] + 1), slice(first[j[0]], first[j[-1]] + 1), letter[j[0]]) for j in same]
         # d/dx_i of a monomial is its exponent times the monomial with one x_i less.
-        self._slopes = self._exponents[:, : self.n_states_, None].astype(float)
-        self._lowered = np.array([[_without(word, i, index) for i in range(self.n_states_)] for word in words])
+        self._slopes = self._exponents[:, :, None].astype(float)
+        self._lowered = np.array([[_without(word, i, index) for i in range(channels)] for word in words])
         return len(words) - 1 - channels
 
     def _fill(self, psi, z):
@@ -75,7 +75,8 @@ class Monomials(Dictionary):
                 np.multiply(psi[shorter], z[letter], out=psi[run])
 
     def _fill_slopes(self, slopes, psi, z):
-        np.multiply(self._slopes, psi[self._lowered], out=slopes)
+        channels = slopes.shape[1]
+        np.multiply(self._slopes[:, :channels], psi[self._lowered[:, :channels]], out=slopes)
 
     def _tail_names(self, channels):
         powers = [[c if e == 1 else f"{c}^{e}" for c, e in zip(channels, row) if e] for row in self._exponents]

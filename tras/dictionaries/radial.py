@@ -56,7 +56,12 @@ class Radial(Dictionary):
         return points if self.centres == "data" else _kmeans(z.T, points)
 
     def _count(self):
-        return len(self.centres_)
+        if hasattr(self, "centres_"):
+            return len(self.centres_)
+        if not isinstance(self.centres, str):
+            return len(self.centres)
+        arguments.whole_number("n_centres", self.n_centres)
+        return self.n_centres
 
     def _build(self):
         square = self.width_**2
@@ -73,10 +78,9 @@ class Radial(Dictionary):
         np.einsum("ij,ij->j", z, z, out=lifted[-1])
         return np.matmul(self._affine, lifted, out=out)
 
-    def _towards_centres(self, z):
-        """``(c - z) / width^2`` of the states: (centres, n, points)."""
-        n = self.n_states_
-        return (self.centres_[:, :n, None] - z[None, :n]) / self.width_**2
+    def _towards_centres(self, z, channels):
+        """``(c - z) / width^2`` of the first channels: (centres, channels, points)."""
+        return (self.centres_[:, :channels, None] - z[None, :channels]) / self.width_**2
 
     def _tail_names(self, channels):
         return [f"{self._word}{i + 1}" for i in range(len(self.centres_))]
@@ -122,7 +126,7 @@ class GaussianRBF(Radial):
 
     def _fill_slopes(self, slopes, psi, z):
         head = 1 + len(z)
-        np.multiply(2 * self._towards_centres(z), psi[head:, None], out=slopes[head:])
+        np.multiply(2 * self._towards_centres(z, slopes.shape[1]), psi[head:, None], out=slopes[head:])
 
 
 class ThinPlate(Radial):
@@ -156,7 +160,8 @@ class ThinPlate(Radial):
 
     def _fill_slopes(self, slopes, psi, z):
         squares = np.maximum(-self._minus_squares(z, np.empty((len(self.centres_), z.shape[1]))), 1e-300)
-        np.multiply(-self._towards_centres(z), (np.log(squares) + 1)[:, None], out=slopes[1 + len(z) :])
+        towards = self._towards_centres(z, slopes.shape[1])
+        np.multiply(-towards, (np.log(squares) + 1)[:, None], out=slopes[1 + len(z) :])
 
 
 def typical_distance(centres):

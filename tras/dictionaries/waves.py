@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from tras.dictionaries.base import POSITIVE, Dictionary
+from tras.dictionaries.base import MOST_DEGREE, POSITIVE, Dictionary
 from tras.workflow import arguments
 
 
@@ -30,12 +30,12 @@ class Exponentials(Dictionary):
         self.rate = rate
 
     def _count(self):
-        arguments.whole_number("order", self.order)
+        arguments.whole_number("order", self.order, 1, MOST_DEGREE)
         arguments.number("rate", self.rate, 0, ends=False, give=POSITIVE)
         return _lattice_size(self.n_states_ + self.n_inputs_, self.order) - 1
 
     def _build(self):
-        arguments.whole_number("order", self.order)
+        arguments.whole_number("order", self.order, 1, MOST_DEGREE)
         arguments.number("rate", self.rate, 0, ends=False, give=POSITIVE)
         self._k = np.array([k for k in _lattice(self.n_states_ + self.n_inputs_, self.order) if any(k)])
         self._wave = self.rate * self._k
@@ -46,7 +46,7 @@ class Exponentials(Dictionary):
 
     def _fill_slopes(self, slopes, psi, z):
         head = 1 + len(z)
-        slopes[head:] = self._wave[:, : self.n_states_, None] * psi[head:, None]
+        slopes[head:] = self._wave[:, : slopes.shape[1], None] * psi[head:, None]
 
     def _tail_names(self, channels):
         return [f"exp({_combination(self.rate * k, channels)})" for k in self._k]
@@ -73,12 +73,12 @@ class Fourier(Dictionary):
         self.period = period
 
     def _count(self):
-        arguments.whole_number("order", self.order)
+        arguments.whole_number("order", self.order, 1, MOST_DEGREE)
         arguments.number("period", self.period, 0, ends=False, give=POSITIVE)
         return _lattice_size(self.n_states_ + self.n_inputs_, self.order) - 1
 
     def _build(self):
-        arguments.whole_number("order", self.order)
+        arguments.whole_number("order", self.order, 1, MOST_DEGREE)
         arguments.number("period", self.period, 0, ends=False, give=POSITIVE)
         lattice = _lattice(self.n_states_ + self.n_inputs_, self.order)
         self._k = np.array([k for k in lattice if any(k) and next(c for c in k if c) > 0])
@@ -94,7 +94,7 @@ class Fourier(Dictionary):
     def _fill_slopes(self, slopes, psi, z):
         head = 1 + len(z)
         half = head + len(self._wave)
-        wave = self._wave[:, : self.n_states_, None]
+        wave = self._wave[:, : slopes.shape[1], None]
         slopes[head:half] = -wave * psi[half:, None]
         slopes[half:] = wave * psi[head:half, None]
 

@@ -1,13 +1,16 @@
 """What a notebook shows of a recording and of a model: HTML in which all text from outside is escaped."""
 
+import base64
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tras.plotting import png
 from tras.workflow import page
 from tras.workflow.arguments import short
 
 if TYPE_CHECKING:
+    from tras.display.plots import Comparison
     from tras.model import KoopmanModel
     from tras.recording import Recording
 
@@ -34,6 +37,20 @@ def recording_html(recording: "Recording") -> str:
 def model_html(model: "KoopmanModel") -> str:
     """The report of a fitted model."""
     return in_notebook(f"<pre>{page.escape(model.report())}</pre>\n")
+
+
+def comparison_html(comparison: "Comparison") -> str:
+    """The table of `tras.compare` above its figure."""
+    columns = {"fit": ".4g", "nrmse": ".3g"}
+    rows = []
+    for row in comparison.table.to_dict("records"):
+        numbers = [format(row[name], digits) if np.isfinite(row[name]) else "–" for name, digits in columns.items()]
+        lost = f"{row['diverged']} of {row['trajectories']}"
+        rows.append([page.escape(short(str(row["state"]))), page.escape(short(str(row["model"]))), *numbers, lost])
+    head = ["state", "model", "fit (%)", "NRMSE (%)", "diverged"]
+    table = page.table(head, rows, "Measured against simulated, over all trajectories.", keys=2)
+    picture = base64.b64encode(png(comparison.figure)).decode()
+    return in_notebook(f'{table}<img src="data:image/png;base64,{picture}" alt="Measured and simulated states" />\n')
 
 
 def in_notebook(html: str) -> str:

@@ -5,7 +5,7 @@ predictions differ by their dashes, not by colour alone; names of channels are t
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -89,7 +89,21 @@ def recording_figure(recording: "Recording", channels: Sequence[str] | None = No
     return data_figure(curves(recording), channels, [units[name] for name in channels], ax)
 
 
-@styled()
+class Comparison(NamedTuple):
+    """What `compare` returns: ``table, figure = tras.compare(recording, model)``. A notebook shows both."""
+
+    table: pd.DataFrame
+    figure: Figure
+
+    def __repr__(self):
+        return self.table.round(3).to_string(index=False)
+
+    def _repr_html_(self):
+        from tras.display import html
+
+        return html.comparison_html(self)
+
+
 def compare(
     recording: "Recording",
     *models: "Estimator",
@@ -97,11 +111,12 @@ def compare(
     states: Sequence[str] | None = None,
     trajectory: int = 0,
     ax: "Axes | Sequence[Axes] | None" = None,
-) -> Figure:
+) -> Comparison:
     """Measured states against those that models simulate from the first samples under the recording's inputs.
 
-    The legend says how well each model fits what is shown: 100 % times one minus the norm of the error over that of the
-    measured state's distance from its mean, 0 % where it is no better than that mean (`tras.metrics.bfr`).
+    The fit is 100 % times one minus the norm of the error over that of the measured state's distance from its mean, 0 %
+    where it is no better than that mean (`tras.metrics.bfr`). All models begin to predict at the same sample, after the
+    longest delays. A prediction that runs away is drawn up to the edge of the frame, with a triangle there.
 
     Parameters
     ----------
@@ -110,23 +125,28 @@ def compare(
     *models : KoopmanModel
         Fitted, at most five.
     names : sequence of str, optional
-        One per model, for the legend. Default: what their dictionaries are called.
+        One per model. Default: what their dictionaries are called.
     states : sequence of str, optional
-        At most six. Default: the first six that the models predict.
+        At most six to draw. Default: the first six that the models predict.
     trajectory : int
-        The one to show.
+        The one to draw.
     ax : matplotlib Axes or sequence of them, optional
         Where to draw, one per state. Default: a new figure.
 
     Returns
     -------
-    matplotlib.figure.Figure
-        `tras.compare_table` has the numbers, of all trajectories.
+    table : pandas.DataFrame
+        Of all trajectories that are long enough, a row per state and model: ``state, model, fit`` (percent), ``nrmse``
+        (percent of the range), ``trajectories`` and ``diverged``, how many of them were lost; these are left out of fit
+        and nrmse, which are NaN if all are.
+    figure : matplotlib.figure.Figure
+        Of one trajectory, the fit of each state to it in the legend.
 
     Raises
     ------
     ValueError
-        If there is no model, one is not fitted or has other channels, or there is no such state or trajectory.
+        If there is no model, one is not fitted or has other channels, or there is no such state or trajectory, or it is
+        too short.
 
     Examples
     --------
@@ -134,92 +154,64 @@ def compare(
     >>> x = np.exp(-0.1 * np.arange(50))[:, None] * [[1.0, -2.0]]
     >>> recording = tras.Recording([x[:, :1], x[:, 1:]], dt=0.1)
     >>> model = tras.KoopmanModel(tras.Monomials(1), "one_step").fit(recording)
-    >>> figure = tras.compare(recording, model, names=["decay"])
+    >>> table, figure = tras.compare(recording, model, names=["decay"])
+    >>> table[["state", "model", "fit"]].round(3)
+      state  model    fit
+    0    x1  decay  100.0
     >>> [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
     ['measured', 'decay: 100 %']
     """
-    if not 1 <= len(models) <= len(_MODELS):
-        raise ValueError(f"there are {len(models)} models; give 1 to {len(_MODELS)}.")
-    _check_models(models, names)
-    if (
-        isinstance(trajectory, bool)
-        or not isinstance(trajectory, (int, np.integer))
-        or trajectory not in range(-len(recording), len(recording))
-    ):
-        raise ValueError(f"trajectory is {trajectory!r}; give a whole number from 0 to {len(recording) - 1}.")
-    predicted = [name for name in recording.state_names if any(name in model.state_names_ for model in models)]
-    states = _chosen("states", predicted[:MOST] if states is None else states, predicted)
+    _check_models(recording, models, names, trajectory)
+    names = _names(models) if names is None else [str(name) for name in names]
+    latest = max(model.delays for model in models)
     shown = recording[int(trajectory)]
-    latest = max(model.delays for model in models)
-    runs = [_simulated(model, shown, latest) for model in models]
-    names = [plain(short(str(name), _NAME)) for name in (_names(models) if names is None else names)]
-    rows, columns = _grid(["measured", *(f"{name}: 99.9 %" for name in names)])
-    panels = _panels(ax, len(states), height=(0.72 + 0.14 * rows) * len(states) + 0.35)
-    time = np.arange(len(shown.states[0])) * shown.dt
-    units = dict(zip(recording.state_names, recording.state_units))
-    for panel, state in zip(panels, states):
-        true = shown.select(states=[state]).states[0][:, 0]
-        reach = 1.5 * max(float(np.ptp(true)), 1e-300)
-        lines, legend = panel.plot(time, true, **TRUTH, zorder=3), ["measured"]
-        for name, run, style in zip(names, runs, _MODELS):
-            if state in run:
-                values, fit = run[state]
-                inside = (values >= true.min() - reach) & (values <= true.max() + reach)  # False for NaN
-                lines += panel.plot(time[latest:], np.where(inside, values, np.nan), **style)
-                legend.append(f"{name}: {fit}")
-        panel.set_ylabel(with_units([state], [units[state]])[0])
-        panel.legend(lines, legend, loc="lower left", bbox_to_anchor=(0, 1), ncols=columns, columnspacing=1.0)
-    which = f", trajectory {trajectory} of {len(recording)}" if len(recording) > 1 else ""
-    panels[-1].set_xlabel(f"time (s){which}")
-    return panels[0].figure
-
-
-def compare_table(recording: "Recording", *models: "Estimator", names: Sequence[str] | None = None) -> pd.DataFrame:
-    """How well models simulate each state over all trajectories of a recording, from their first samples.
-
-    All models begin to predict at the same sample, after the longest delays.
-
-    Parameters
-    ----------
-    recording : Recording
-        Best one that no model was fitted to.
-    *models : KoopmanModel
-        Fitted.
-    names : sequence of str, optional
-        One per model. Default: what their dictionaries are called.
-
-    Returns
-    -------
-    pandas.DataFrame
-        A row per state and model: ``state, model, fit`` (percent, `tras.metrics.bfr`), ``nrmse`` (percent),
-        ``trajectories`` and ``diverged``, how many of them were lost; these are left out of fit and nrmse, which are
-        NaN if all are.
-
-    Raises
-    ------
-    ValueError
-        If there is no model, one is not fitted or has other channels, or a trajectory is too short.
-
-    Examples
-    --------
-    >>> import numpy as np, tras
-    >>> x = np.exp(-0.1 * np.arange(50))[:, None] * [[1.0, -2.0]]
-    >>> recording = tras.Recording([x[:, :1], x[:, 1:]], dt=0.1)
-    >>> model = tras.KoopmanModel(tras.Monomials(1), "one_step").fit(recording)
-    >>> tras.compare_table(recording, model, names=["decay"])[["state", "model", "fit"]].round(3)
-      state  model    fit
-    0    x1  decay  100.0
-    """
-    _check_models(models, names)
-    latest = max(model.delays for model in models)
+    long = recording.lengths >= latest + 2
+    long[int(trajectory)] = True  # or its error says what is wrong
+    judged = [_judged(model, recording[long], latest) for model in models]
     rows = []
-    for name, model in zip(_names(models) if names is None else names, models):
-        scores = _judged(model, recording, latest)[1]
+    for name, model, (_, scores) in zip(names, models, judged):
         lost = {"trajectories": scores.windows, "diverged": scores.diverged}
         for state, fit, error in zip(model.state_names_, scores.bfr, scores.nrmse):
-            rows.append({"state": state, "model": str(name), "fit": fit, "nrmse": error} | lost)
+            rows.append({"state": state, "model": name, "fit": fit, "nrmse": error} | lost)
     rows.sort(key=lambda row: recording.state_names.index(row["state"]))
-    return pd.DataFrame(rows)
+    at = int(np.sum(long[: range(len(recording))[int(trajectory)]]))
+    runs = [runs[at] for runs, _ in judged]
+    which = f", trajectory {trajectory} of {len(recording)}" if len(recording) > 1 else ""
+    return Comparison(pd.DataFrame(rows), run_figure(shown, models, runs, names, states, which, ax))
+
+
+def one_run(recording: "Recording", model: "Estimator", trajectory: int = 0, ax=None) -> Figure:
+    """See `tras.KoopmanModel.plot`: the figure of `compare`, without predicting the other trajectories."""
+    _check_models(recording, [model], None, trajectory)
+    shown = recording[int(trajectory)]
+    which = f", trajectory {trajectory} of {len(recording)}" if len(recording) > 1 else ""
+    return run_figure(shown, [model], [_judged(model, shown, model.delays)[0][0]], _names([model]), which=which, ax=ax)
+
+
+@styled()
+def run_figure(shown: "Recording", models, runs, names, states=None, which: str = "", ax=None) -> Figure:
+    """The one trajectory of ``shown`` and what models make of it; a run (samples, n) ends where the trajectory does."""
+    predicted = [name for name in shown.state_names if any(name in model.state_names_ for model in models)]
+    states = _chosen("states", predicted[:MOST] if states is None else states, predicted)
+    names = [plain(short(str(name), _NAME)) for name in names]
+    rows, columns = _grid(["measured", *(f"{name}: 99.9 %" for name in names)])
+    panels = _panels(ax, len(states), height=(0.72 + 0.14 * rows) * len(states) + 0.35)
+    samples = len(shown.states[0])
+    time = np.arange(samples) * shown.dt
+    units = dict(zip(shown.state_names, shown.state_units))
+    scored = [_fits(model, run, shown) for model, run in zip(models, runs)]
+    for panel, state in zip(panels, states):
+        true = shown.select(states=[state]).states[0][:, 0]
+        lines, legend = panel.plot(time, true, **TRUTH, zorder=3), ["measured"]
+        curves = [(name, fits[state], style) for name, fits, style in zip(names, scored, _MODELS) if state in fits]
+        frame = frame_of(true, *(values for _, (values, _), _ in curves))
+        for name, (values, fit), style in curves:
+            lines.append(draw_in_frame(panel, time[samples - len(values) :], values, frame, **style))
+            legend.append(f"{name}: {fit}")
+        panel.set_ylabel(with_units([state], [units[state]])[0])
+        panel.legend(lines, legend, loc="lower left", bbox_to_anchor=(0, 1), ncols=columns, columnspacing=1.0)
+    panels[-1].set_xlabel(f"time (s){which}")
+    return panels[0].figure
 
 
 @styled()
@@ -230,7 +222,7 @@ def eigenvalue_figure(table: pd.DataFrame, ax=None) -> Figure:
     """
     require(table, "table", ["model", "real", "imag"])
     if ax is None:
-        figure, (whole, near) = new_figure(height=2.35, columns=2, sharex=False)
+        figure, (whole, near) = new_figure(formulas=False, height=2.35, columns=2, sharex=False)
     else:
         (whole,), near = _panels(ax, 1), None
         figure = whole.figure
@@ -266,9 +258,15 @@ def residual_figure(table: pd.DataFrame, significance: float = 0.01) -> Figure:
     """
     require(table, "table", ["state", "against", "lag", "correlation", "bound", "tested"])
     states, others = list(dict.fromkeys(table["state"]))[:MOST], list(dict.fromkeys(table["against"]))[:MOST]
+    table = table[table["state"].isin(states) & table["against"].isin(others)]
     rows, columns = len(states), len(others)
-    figure, panels = new_figure(0.95 * rows + 0.75, rows, columns, sharex="col", sharey="col", squeeze=False)
-    figure.set_figwidth(WIDTH if columns <= 2 else WIDTH * columns / 2)
+    figure, panels = new_figure(
+        0.8 * rows + 0.75, rows, columns, formulas=False, sharex="col", sharey=True, squeeze=False
+    )
+    figure.set_figwidth(WIDTH * max(1, columns / 3))
+    judged = table[table["tested"]]
+    reach = 1.15 * np.nanmax([judged["correlation"].abs().max(), 1.5 * judged["bound"].max(), 1e-3])
+    panels[0, 0].set_ylim(-reach, reach)  # lags that are not tested may leave the frame
     for state, row in zip(states, panels):
         for other, panel in zip(others, row):
             part = table[(table["state"] == state) & (table["against"] == other)]
@@ -276,7 +274,7 @@ def residual_figure(table: pd.DataFrame, significance: float = 0.01) -> Figure:
             panel.fill_between(lag, -bound, bound, color="0.88", linewidth=0, zorder=0)
             for tested, colour in ((False, "0.6"), (True, MODEL["color"])):
                 some = part[part["tested"] == tested]
-                panel.vlines(some["lag"], 0, some["correlation"], color=colour, linewidth=1.0, linestyle="-")
+                panel.vlines(some["lag"], 0, some["correlation"], color=colour, linewidth=0.9, linestyle="-")
                 out = some[np.abs(some["correlation"]) > some["bound"]]
                 filled = {"color": colour, "linestyle": "none", "marker": "o", "markersize": 2.2}
                 panel.plot(out["lag"], out["correlation"], **filled)
@@ -285,7 +283,7 @@ def residual_figure(table: pd.DataFrame, significance: float = 0.01) -> Figure:
                 title = "with itself" if other == "itself" else f"with {plain(short(str(other), _NAME))}"
                 panel.set_title(title, fontsize=8, pad=3)
         row[0].set_ylabel(plain(short(str(state), _NAME)))
-    figure.supxlabel(f"lag (samples); band: {100 * (1 - significance):g} % of one lag; dots outside; grey: not tested")
+    figure.supxlabel(f"lag (samples); band: {100 * (1 - significance):g} % of one lag\ndots: outside; grey: not tested")
     return figure
 
 
@@ -295,10 +293,47 @@ def spectrum_figure(model: "KoopmanModel", ax=None) -> Figure:
     return eigenvalue_figure(pd.DataFrame({"model": "model", "real": np.real(values), "imag": np.imag(values)}), ax)
 
 
+def frame_of(true: np.ndarray, *curves: np.ndarray) -> tuple[float, float]:
+    """Limits that show the truth whole, and other curves up to three quarters of its range above and below it."""
+    low, high = float(np.min(true)), float(np.max(true))
+    reach = 0.75 * (high - low) or abs(high) or 1.0
+    values = np.concatenate([[low, high], *(curve[np.isfinite(curve)] for curve in curves)])
+    values = values.clip(low - reach, high + reach)
+    margin = 0.04 * (np.ptp(values) or 1.0)
+    return float(values.min() - margin), float(values.max() + margin)
+
+
+def draw_in_frame(panel: Axes, time: np.ndarray, values: np.ndarray, frame: tuple[float, float], **style):
+    """Draw a curve up to the frame's edge; where it first leaves, and goes on unseen, a triangle stands at the edge.
+
+    A curve that ends in NaN has run away, in the direction of its last step. Returns the line.
+    """
+    low, high = frame
+    far = high - low
+    values = np.array(values, dtype=float)
+    seen = np.isfinite(values)
+    for k in np.flatnonzero(seen[:-1] & np.isnan(values[1:])):
+        up = values[k] >= (values[k - 1] if k and seen[k - 1] else (low + high) / 2)
+        values[k + 1] = np.inf if up else -np.inf
+    values = np.clip(values, low - far, high + far)
+    (line,) = panel.plot(time, values, **style)
+    panel.set_ylim(low, high)
+    outside = np.flatnonzero((values < low) | (values > high))
+    if len(outside):
+        k = outside[0]
+        edge, mark = (high, "^") if values[k] > high else (low, "v")
+        at = time[k]
+        if k and seen[k - 1]:
+            at = time[k - 1] + (time[k] - time[k - 1]) * (edge - values[k - 1]) / (values[k] - values[k - 1])
+        look = {"color": line.get_color(), "markersize": 4, "linestyle": "none", "clip_on": False, "zorder": 5}
+        panel.plot([at], [edge], marker=mark, label="_leaves", **look)
+    return line
+
+
 def _panels(ax, count, **size):
     """Axes of a new figure, one below the other, or those of the caller, if they are ``count``."""
     if ax is None:
-        _, axes = new_figure(rows=count, squeeze=False, **size)
+        _, axes = new_figure(formulas=False, rows=count, squeeze=False, **size)
         return list(axes[:, 0])
     panels = list(np.asarray(ax, dtype=object).ravel())
     if len(panels) != count or not all(isinstance(panel, Axes) for panel in panels):
@@ -322,16 +357,22 @@ def _chosen(argument, names, known):
     return names
 
 
-def _check_models(models, names):
-    """A ValueError unless all of them are fitted models, with as many names."""
-    if not models:
-        raise ValueError("there is no model; give one or more, after the recording.")
+def _check_models(recording, models, names, trajectory):
+    """A ValueError unless all of them are fitted models, with as many names, and there is such a trajectory."""
+    if not 1 <= len(models) <= len(_MODELS):
+        raise ValueError(f"there are {len(models)} models; give 1 to {len(_MODELS)}.")
     for model in models:
         if not hasattr(model, "require_fitted"):
             raise ValueError(f"models holds a {type(model).__name__}; give fitted models such as tras.KoopmanModel.")
         model.require_fitted()
     if names is not None and (isinstance(names, str) or len(names) != len(models)):
         raise ValueError(f"names is {names!r}; give a list of {len(models)}, one per model.")
+    if (
+        isinstance(trajectory, bool)
+        or not isinstance(trajectory, (int, np.integer))
+        or trajectory not in range(-len(recording), len(recording))
+    ):
+        raise ValueError(f"trajectory is {trajectory!r}; give a whole number from 0 to {len(recording) - 1}.")
 
 
 def _judged(model, recording, latest):
@@ -348,9 +389,11 @@ def _judged(model, recording, latest):
         return runs, metrics.judge([x[latest:] for x in states], runs)
 
 
-def _simulated(model, shown, latest):
-    """State -> (its roll-out from the sample ``latest`` on, the fit in words), of the one trajectory of ``shown``."""
-    (run,), scores = _judged(model, shown, latest)
+def _fits(model, run, shown):
+    """State -> (its roll-out, the fit in words), for the one trajectory of ``shown``."""
+    true = shown.select(states=model.state_names_).states[0][-len(run) :]
+    with np.errstate(all="ignore"):
+        scores = metrics.judge(true[None], run[None])
     lost = "diverged" if scores.diverged else "no fit: constant"
     fits = [f"{fit:.3g} %" if np.isfinite(fit) else lost for fit in scores.bfr]
     return {name: (run[:, i], fit) for i, (name, fit) in enumerate(zip(model.state_names_, fits))}

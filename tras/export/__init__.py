@@ -1,7 +1,7 @@
 """Models for other programs: C, MATLAB, formulas, and the state space of python-control.
 
 Read `common` first, then one of `c`, `matlab` and `equations` (which stands on `expansion` and `symbols`). Public are
-the four names below.
+the five names below.
 
 Examples
 --------
@@ -14,5 +14,6 @@ Examples
 
 from tras.export.c import to_c as to_c
 from tras.export.common import to_statespace as to_statespace
+from tras.export.controller import controller_to_c as controller_to_c
 from tras.export.equations import formulas as formulas
 from tras.export.matlab import to_matlab as to_matlab

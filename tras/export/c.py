@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tras.export import symbols
+from tras.export import derivatives, symbols
 from tras.export.common import file_and_name, map_of, origin, vectors
 from tras.model import KoopmanModel
 from tras.workflow.arguments import in_code
@@ -18,7 +18,7 @@ _SHIFTS_OF_INPUTS = """\
     for (int i = {end}; i >= {second}; i--) x_next[i] = x[i - {m}];
     for (int i = 0; i < {m}; i++) x_next[{past} + i] = u[i];
 """
-_HULL = """\
+HULL = """\
     /* The nearest point of the box around the training data, along their principal axes. */
     double near[CHANNELS], beyond[CHANNELS];
     for (int j = 0; j < CHANNELS; j++) {
@@ -30,14 +30,14 @@ _HULL = """\
         near[i] = z[i];
         for (int j = 0; j < CHANNELS; j++) near[i] -= axes[i][j] * beyond[j];
     }
-    lift(near, psi);
 """
 _MAP = """\
 /* {what}, in scaled channels: matrix psi(z){beyond}. */
 static void map(const double *z, double *result)
 {{
     double psi[FUNCTIONS];
-{hull}    for (int i = 0; i < ROWS; i++) {{
+{hull}    lift({point}, psi);
+    for (int i = 0; i < ROWS; i++) {{
         result[i] = 0.0;
         for (int j = 0; j < FUNCTIONS; j++) result[i] += matrix[i][j] * psi[j];
 {outward}    }}
@@ -85,7 +85,7 @@ void {name}_step(const double *x, const double *u, double *x_next)
 """
 _SCALE_INPUTS = "    for (int i = 0; i < INPUTS; i++) z[STATES + i] = (u[i] - u_offset[i]) / u_scale[i];\n"
 _LINEAR = """\
-void {name}_lift(const double *x, double *z)
+void {name}lift(const double *x, double *z)
 {{
     double scaled[STATES];
     for (int i = 0; i < STATES; i++) scaled[i] = (x[i] - x_offset[i]) / x_scale[i];
@@ -111,13 +111,16 @@ _LINEAR_INPUTS = "        for (int j = 0; j < INPUTS; j++) next[i] += B[i][j] * 
 _UNUSED = "    (void)u;\n"
 
 
-def to_c(model: KoopmanModel, path: str | Path) -> list[Path]:
+def to_c(model: KoopmanModel, path: str | Path, *, slopes: bool = False) -> list[Path]:
     """Write a model as C99: ``path``, which ends in .c, and a header of the same name; returns both paths.
 
     ``void NAME_step(const double *x, const double *u, double *x_next)`` predicts one sample in physical units, also
     beyond the training data; NAME is the file's. With delays, x holds the newest sample, then the earlier ones, then
     (except with ``vector_field``) the earlier inputs, as the header lists. ``vector_field`` adds ``NAME_field``. With
     ``lifted_linear``, ``NAME_lift`` lifts x to z, ``NAME_step`` works on z, and ``NAME_read`` reads x from z.
+
+    With ``slopes`` there is also ``void NAME_slopes(const double *x, const double *u, double *x_next, double *by_x,
+    double *by_u)``: the step and its exact derivatives, row by row, as a Kalman filter or a controller needs them.
 
     Raises
     ------
@@ -135,15 +138,15 @@ def to_c(model: KoopmanModel, path: str | Path) -> list[Path]:
     model.require_fitted()
     path, name = file_and_name(path, ".c")
     notes = [f" {line}" for line in origin(model, path, name)]
-    source = f'#include "{path.stem}.h"\n\n#include <math.h>\n\n{_source(model, name)}'
-    files = {path.with_suffix(".h"): _header(model, name), path: source}
+    source = f'#include "{path.stem}.h"\n\n#include <math.h>\n\n{_source(model, name, slopes)}'
+    files = {path.with_suffix(".h"): _header(model, name, slopes), path: source}
     for file, contents in files.items():
         with replacing(file) as temporary:
             temporary.write_text("\n".join(["/*", *notes, " */", contents]), encoding="utf-8", newline="\n")
     return list(files)
 
 
-def _header(model, name):
+def _header(model, name, slopes):
     linear, m = model.predictor == "lifted_linear", len(model.input_names_)
     (x, u), guard = vectors(model), f"{name.upper()}_H"
     lines = [f"#ifndef {guard}", f"#define {guard}", "", "/*", " Vectors, in physical units:"]
@@ -156,7 +159,7 @@ def _header(model, name):
     if linear:
         lines += [
             "/* Lift a state once, step in the lifted space, where the system is linear, and read x from z. */",
-            f"void {name}_lift(const double *x, double *z);",
+            f"void {name}lift(const double *x, double *z);",
         ]
     state = "z" if linear else "x"
     lines += [
@@ -166,10 +169,16 @@ def _header(model, name):
     lines += [f"void {name}_read(const double *z, double *x);"] * linear
     if model.predictor == "vector_field":
         lines += ["/* dx/dt. */", f"void {name}_field(const double *x, const double *u, double *rate);"]
+    if slopes:
+        lines += [
+            f"/* The step and its derivatives, row by row: by_{state} by each {state}, by_u by each input. */",
+            f"void {name}_slopes(const double *{state}, const double *u, double *{state}_next, double *by_{state}, "
+            "double *by_u);",
+        ]
     return "\n".join([*lines, "", "#ifdef __cplusplus", "}", "#endif", "", "#endif", ""])
 
 
-def _source(model, name):
+def _source(model, name, slopes):
     m, states, functions = len(model.input_names_), len(model.channels_.z_scale), len(model.names_)
     counts = {"STATES": states} | ({"INPUTS": m} if m else {})
     arrays = {"x_offset": model.channels_.z_offset, "x_scale": model.channels_.z_scale}
@@ -187,15 +196,23 @@ def _source(model, name):
         body = _MAP.format(
             what="Rates of the states" if model.predictor == "vector_field" else "The states one sample later",
             beyond="; beyond the training data linear" if hull else "",
-            hull=_HULL if hull else "    lift(z, psi);\n",
+            hull=HULL if hull else "",
+            point="near" if hull else "z",
             outward=_OUTWARD if hull else "",
         )
         body += _steps(model, name)
+        if slopes:
+            entries, code = derivatives.advance(model, HULL if hull else "")
+            counts["SLOPES"], body = len(entries["slope_of"]), f"{body}\n{code}"
+            arrays |= entries
+    if slopes:
+        body += derivatives.function(model, name)
     constants = "enum { " + ", ".join(f"{key} = {value}" for key, value in counts.items()) + " };\n\n"
-    return constants + "".join(map(_array, arrays, arrays.values())) + "\n" + _lift(model) + body
+    return constants + "".join(map(array, arrays, arrays.values())) + "\n" + lift(model) + body
 
 
-def _lift(model):
+def lift(model):
+    """The function that lifts scaled channels."""
     lines = symbols.code(symbols.functions(model.dictionary_), symbols.C)
     names = [f" psi[{i}]: {in_code(function)}" for i, function in enumerate(model.names_)]
     head = ["/*", *names, " */", "static void lift(const double *z, double *psi)", "{"]
@@ -218,9 +235,11 @@ def _steps(model, name):
     return scale + _STEP.format(name=name, body=body, n=n) + (_FIELD.format(name=name) if field else "")
 
 
-def _array(name, values):
-    """A constant array, one row per line."""
+def array(name, values):
+    """A constant array, one row per line; of whole numbers if all are."""
     size = "".join(f"[{k}]" for k in np.shape(values))
+    if np.asarray(values).dtype.kind == "i":
+        return f"static const int {name}{size} = {{{', '.join(map(str, values))}}};\n"
     rows = [", ".join(map(symbols.literal, row)).replace("inf", "INFINITY") for row in np.atleast_2d(values)]
     if np.ndim(values) == 1:
         return f"static const double {name}{size} = {{{rows[0]}}};\n"

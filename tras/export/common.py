@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import tras
-from tras.analysis.linearization import StateSpace, for_control
+from tras.analysis.linearization import acting, for_control
 from tras.model import KoopmanModel
 from tras.workflow.arguments import in_code
 
@@ -111,6 +111,8 @@ def to_statespace(model: KoopmanModel) -> Any:
     The states z are the liftings of scaled channels; u and x are in physical units. The constant function is the first
     state: its eigenvalue is one, and its column holds the offsets of the channels. So a run starts at
     ``model.lift(x0)``, never at zero. With delays, x0 is the delayed state (newest sample first), x the newest sample.
+    With ``lead=1`` x depends on the input of its own instant: D is not zero, and a run starts at
+    ``model.lift(x0) - model.B_ / model.u_scale_ @ u[0]``.
 
     Returns
     -------
@@ -135,12 +137,12 @@ def to_statespace(model: KoopmanModel) -> Any:
     model.require_fitted()
     if model.predictor != "lifted_linear":
         raise ValueError(f"predictor is {model.predictor!r}, no linear system; fit with predictor='lifted_linear'.")
-    n, m = len(model.state_names_), len(model.input_names_)
+    n = len(model.state_names_)
     A, B = model.koopman_matrix.T.copy(), model.B_ / model.u_scale_
     A[:, 0] -= B @ model.u_offset_  # the first function is the constant
     C = np.zeros((n, len(A)))
     C[:, 0] = model.x_offset_
     C[np.arange(n), model.dictionary_.coordinates[:n]] = model.x_scale_
-    system = StateSpace(A, B, C, np.zeros((n, m)), float(model.dt_))
+    system = acting(model.channels_.lead, A, B, C, float(model.dt_))
     names = identifiers((*model.state_names_, *model.input_names_))
     return for_control(system, inputs=names[n:], outputs=names[:n], states=[f"z{i}" for i in range(len(A))])

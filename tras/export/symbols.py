@@ -121,6 +121,64 @@ C = Language("z[{}]", "psi[{}]", "const double ", 0, "*", "/", "fabs")
 MATLAB = Language("z({},:)", "psi({},:)", "", 1, ".*", "./")
 
 
+def slopes(nodes, channels):
+    """The derivatives of expressions by the scaled channels that are not zero everywhere.
+
+    Returns
+    -------
+    list of (int, int, Symbol)
+        Number of the expression, number of the channel, and the derivative; in the order of the expressions.
+
+    Examples
+    --------
+    >>> import tras
+    >>> psi = functions(tras.Monomials(2).fit(np.zeros((1, 2))))
+    >>> [(row, column, text(slope, C)) for row, column, slope in slopes(psi, 2)][2:5]
+    [(3, 0, 'z[0] + z[0]'), (4, 0, 'z[1]'), (4, 1, 'z[0]')]
+    """
+    tables = [{} for _ in range(channels)]
+    every = [(k, i, _derivative(node, i, tables[i])) for k, node in enumerate(nodes) for i in range(channels)]
+    return [(k, i, slope) for k, i, slope in every if not (slope.kind == "number" and slope.parts[0] == 0)]
+
+
+def _derivative(node, channel, known):
+    """By the rules of calculus; ``known`` holds the derivatives of nodes by this channel."""
+    if node in known:
+        return known[node]
+    if node.kind in ("number", "z"):
+        result = node.number(node.kind == "z" and node.parts[0] == channel)
+    else:
+        moves = [_derivative(part, channel, known) for part in node.parts]
+        if node.kind in "+-":
+            result = moves[0] + moves[1] if node.kind == "+" else moves[0] - moves[1]
+        elif node.kind == "*":
+            result = moves[0] * node.parts[1] + node.parts[0] * moves[1]
+        elif node.kind == "/" and node.parts[1].kind == "number":
+            result = moves[0] * (1 / node.parts[1].parts[0])
+        elif node.kind == "/":
+            result = (moves[0] - node * moves[1]) / node.parts[1]
+        elif node.kind == "negative":
+            result = -moves[0]
+        else:
+            result = _SLOPES[node.kind](node.parts[0], node) * moves[0]
+    known[node] = result
+    return result
+
+
+# Of a function at ``a``, where its value is ``f``.
+_SLOPES = {
+    "exp": lambda a, f: f,
+    "log": lambda a, f: 1 / a,
+    "sin": lambda a, f: a.cos(),
+    "cos": lambda a, f: -a.sin(),
+    "tan": lambda a, f: 1 + f * f,
+    "sinh": lambda a, f: a.cosh(),
+    "cosh": lambda a, f: a.sinh(),
+    "tanh": lambda a, f: 1 - f * f,
+    "sqrt": lambda a, f: 0.5 / f,
+}
+
+
 def literal(value):
     """A floating-point number with the fewest digits that read back the same bits, 17 at most."""
     return repr(float(value))
@@ -176,10 +234,15 @@ def ordered(nodes):
     return order, uses
 
 
-def code(nodes, language):
-    """Statements that compute all ``nodes``, each common part once: list of str."""
-    order, uses = ordered(nodes)
+def code(nodes, language, more=(), of_more=""):
+    """Statements that compute all ``nodes``, each common part once: list of str.
+
+    Behind the functions also ``more`` nodes, into the variables ``of_more``, which holds ``{}`` for the number.
+    """
     functions = [language.function.format(k + language.first) for k in range(len(nodes))]
+    functions += [of_more.format(k + language.first) for k in range(len(more))]
+    nodes = [*nodes, *more]
+    order, uses = ordered(nodes)
     results = dict(zip(nodes[::-1], functions[::-1]))  # the first of equal nodes
     names, lines, temporaries = {}, [], 0
     for node in order:

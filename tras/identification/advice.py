@@ -14,7 +14,7 @@ from tras.identification.noise import noise_level
 from tras.identification.scores import CONSTANT, HELD
 from tras.identification.search import LINEAR_DICTIONARY
 from tras.workflow import page
-from tras.workflow.arguments import short
+from tras.workflow.arguments import percent, short
 
 
 class Advice(NamedTuple):
@@ -99,8 +99,8 @@ _BETTER = ("Do not use it", "A linear model is better", "A linear model ran away
 def _range_of(errors):
     worst = errors.index[int(np.nanargmax(errors))]
     if len(errors) == 1:
-        return f"{errors.iloc[0]:.2g} % of the range"
-    return f"{np.nanmin(errors):.2g} % to {np.nanmax(errors):.2g} % of the ranges, most in {worst}"
+        return f"{percent(errors.iloc[0])} of the range"
+    return f"{percent(np.nanmin(errors))} to {percent(np.nanmax(errors))} of the ranges, most in {worst}"
 
 
 def error_of(table, prediction, moving=None) -> float:
@@ -194,6 +194,8 @@ def _verdict(identification):
 def _data(identification, log):
     for text in identification.remarks["idle"]:
         yield warning("a channel that says nothing", f"{text}.")
+    for text in identification.remarks["spikes"]:
+        yield warning("lone samples far off", f"{text}.")
     for row in identification.checks.channels.to_dict("records"):
         yield from _channel(row, row["channel"], row["role"] == "input")
     if log.m == 0:
@@ -216,6 +218,16 @@ def _channel(row, name, is_input):
     elif row["step"] > 0.005 * span:
         percent = f"{100 * row['step'] / span:.2g} %"
         yield note(f"{name} is coarse", f"{name} moves in steps of {row['step']:.3g}, {percent} of its range.")
+    jumps = row["jump"] > 0.3 and row["jump"] > 5 * row["usual"]
+    if row["glitches"] and (is_input or not jumps):
+        count = f"{row['glitches']} samples leave" if row["glitches"] > 1 else "One sample leaves"
+        where = f"{row['glitch_at']:.6g} s after the beginning of trajectory {row['glitch_in']}"
+        yield warning(
+            f"{name} has a glitch",
+            f"{count} the neighbours in {name} and the next ones are back, as nowhere else; the farthest is {where}. "
+            "A single wrong sample can multiply the error of a model several times: repair it, or cut there. If that "
+            "is an impulse that was given, all is well.",
+        )
     if is_input:
         return
     if row["wraps"]:
@@ -232,7 +244,7 @@ def _channel(row, name, is_input):
             "counted as noise). Noise on the states biases the fit; a better sensor or slower sampling helps more "
             "than any model.",
         )
-    if row["jump"] > 0.3 and row["jump"] > 5 * row["usual"]:
+    if jumps:
         yield warning(
             f"{name} jumps",
             f"{name} changes by {100 * row['jump']:.0f} % of its range within one sample, but by less than "
@@ -308,6 +320,14 @@ def _model(identification):
             "smoothed states",
             f"The states were smoothed before the fit (noise {100 * level.max():.2g} % of the range at most); test "
             "predictions start from states as measured.",
+        )
+    if (every := identification.remarks["every"]) > 1:
+        yield note(
+            "longer steps",
+            f"A step of the model is {every} samples of the recording, {model.dt_:.4g} s: between samples the states "
+            "move little, compared with their noise. simulate, the exports and a controller take one input per step; a "
+            f"recording is made so by recording.decimated({every}{', lead=1' if model.lead else ''}). EVERY=1 asks for "
+            "steps of one sample.",
         )
     if model.lead:
         yield note(

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy import signal
+from scipy import ndimage, signal
 
 from tras.identification.noise import noise_level
 from tras.recording import Recording, join
@@ -13,6 +13,9 @@ _FEW_LEVELS = 10  # a channel with so few values is a switch, not at its limits
 _ORDER = 20  # of persistent excitation, at most
 _SMALL = 1e-3  # a direction whose singular value is below this fraction of the largest is not excited
 _ROWS = 50_000  # samples of a regression, at most
+_BRIEF = 3  # samples that a glitch lasts, at most
+_RARE = 0.002  # share of the samples that are glitches, at most
+_FAR = 4  # times as far from the median around it as the farthest of the other samples
 
 
 class Checks(NamedTuple):
@@ -54,7 +57,9 @@ def channels(recording: Recording) -> pd.DataFrame:
     are too many to be levels); ``at_lowest, at_highest``, the share of samples that stand at a limit (0 where an
     extreme is just an extreme); ``noise``, a fraction of the range (NaN for inputs); ``jump``, the largest change over
     a sample as a fraction of the range, and ``usual``, the 99th percentile of the same; ``wraps``, how often it jumps
-    by a full turn (360 or 2 pi); ``shift``, the difference of the means of first and second half in deviations.
+    by a full turn (360 or 2 pi); ``shift``, the difference of the means of first and second half in deviations;
+    ``glitches``, how many samples leave their neighbours and come back within three samples as no others do, and
+    ``glitch_at``, where the farthest of these is, in s since the beginning of its ``glitch_in``, a trajectory's number.
     """
     level = noise_level(recording) if recording.lengths.max() >= 4 else np.full(recording.n, np.nan)
     x, u = (np.concatenate(part) for part in zip(*recording))
@@ -62,6 +67,7 @@ def channels(recording: Recording) -> pd.DataFrame:
     within[np.cumsum(recording.lengths)[:-1]] = False  # the step from one trajectory to the next is no change
     names = [*zip(recording.state_names, recording.state_units), *zip(recording.input_names, recording.input_units)]
     rows = []
+    last = np.cumsum(recording.lengths)
     for i, ((name, unit), values) in enumerate(zip(names, np.hstack([x, u]).T)):
         low, high = values.min(), values.max()
         span = high - low if high > low else 1.0
@@ -69,6 +75,8 @@ def channels(recording: Recording) -> pd.DataFrame:
         few = 1 < len(levels) <= len(values) / 5
         changes = np.abs(np.diff(values))[within[1:]] / span if len(values) > 1 else np.zeros(1)
         half = len(values) // 2
+        glitches, at = _glitches(np.split(values, last[:-1]), span)
+        trajectory = int(np.searchsorted(last, at, side="right"))
         rows.append({
             "channel": name, "role": "state" if i < recording.n else "input", "unit": unit,
             "lowest": low, "highest": high, "mean": values.mean(), "deviation": values.std(),
@@ -78,6 +86,8 @@ def channels(recording: Recording) -> pd.DataFrame:
             "jump": changes.max(initial=0.0), "usual": float(np.quantile(changes, 0.99)) if len(changes) else 0.0,
             "wraps": _wraps(changes * span),
             "shift": abs(values[:half].mean() - values[half:].mean()) / (values.std() or 1.0) if half else 0.0,
+            "glitches": glitches, "glitch_in": trajectory,
+            "glitch_at": (at - last[trajectory] + recording.lengths[trajectory]) * recording.dt,
         })  # fmt: skip
     return pd.DataFrame(rows)
 
@@ -163,6 +173,24 @@ def _at_limit(values, levels):
         return 0.0
     near = (values < levels[-1]) & (values >= min(levels[-2], levels[-1] - 0.01 * (levels[-1] - levels[0])))
     return float(share) if share > 5 * near.mean() else 0.0
+
+
+def _glitches(trajectories, span):
+    """How many samples stick out of their neighbours, and the number of the farthest: 0, 0 unless that is rare.
+
+    What lasts three samples or less is lost in a median over seven; steps and slow motions are not, and a noisy channel
+    has none that are so much farther from it than others.
+    """
+    away = [np.abs(x - ndimage.median_filter(x, 2 * _BRIEF + 1)) for x in trajectories]
+    for distance in away:  # at the ends there is nothing to come back to
+        distance[:_BRIEF] = distance[-_BRIEF:] = 0.0
+    away = np.concatenate(away)
+    most = max(_BRIEF, int(_RARE * len(away)))
+    if len(away) < 10 * most:
+        return 0, 0
+    usual = np.partition(away, -most - 1)[-most - 1]  # the farthest of those that are no glitches
+    out = away > max(0.1 * span, _FAR * usual)
+    return int(out.sum()), int(np.argmax(away)) if out.any() else 0
 
 
 def _wraps(changes):

@@ -23,8 +23,8 @@ import tempfile
 from pathlib import Path
 
 from tras.io.formats import FORMATS
-from tras.workflow.arguments import MissingExtraError, visible, well_formed
-from tras.workflow.files import working_folder
+from tras.workflow.arguments import MissingExtraError, percent, visible, well_formed
+from tras.workflow.files import require_writable, working_folder
 from tras.workflow.parameters import ParameterError, check_parameters, notebook_defaults
 from tras.workflow.runner import Interrupted, RunError, interruptible, run_notebook
 
@@ -55,7 +55,8 @@ def main(arguments: list[str] | None = None, program: str = MODULE) -> int:
         print(visible(_advised(error.words, options, typed, program) if plain else error), file=sys.stderr)
         return 2 if plain else 1
     except OSError as error:
-        print(visible(f"{error.filename}: {error.strerror}" if error.filename else error), file=sys.stderr)
+        reason = f"{error.filename}: {error.strerror}" if error.filename else error.strerror or error
+        print(visible(reason), file=sys.stderr)
         return 1
     except Interrupted as interrupt:
         print("identify was interrupted; no results were written.", file=sys.stderr)
@@ -68,7 +69,7 @@ def _numbers_of_test(out):
     """The errors of the model in the test, per state, in a few words."""
     with open(out / "tables" / "metrics.csv", newline="", encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["prediction"] == "model"]
-    numbers = [f"{row['state']} {float(row['nrmse']):.2g} % ({float(row['free']):.2g} %)" for row in rows[:4]]
+    numbers = [f"{row['state']} {percent(row['nrmse'])} ({percent(row['free'])})" for row in rows[:4]]
     more = f" and {len(rows) - 4} more" if len(rows) > 4 else ""
     return f"NRMSE in the test (free run): {', '.join(numbers)}{more}"
 
@@ -137,6 +138,7 @@ def _parser(program):
     add("--lead", default="", choices=["", "0", "1"], help="the input acts after (0) or before (1) its sample")
     actuators = "states that follow the inputs and drive the body, or none (default: found by their numbers)"
     add("--actuators", type=_names, default=[], help=actuators)
+    add("--every", type=int, default=0, help="the only length of the model's step to try, in samples")
     add("--horizon", type=float, default=0.0, help="how far ahead the model is to predict, in s")
     add("--draws", type=int, default=30, help="members of the bootstrap, 0 for no band")
     return parser
@@ -234,7 +236,8 @@ def _inside(path, root):
 
 def _run(out, parameters, root):
     """Run the notebook beside ``out``, move the executed one there at the very end: seconds, and the test in words."""
-    out.parent.mkdir(parents=True, exist_ok=True)
+    for folder in [out.parent, *(each for each in (out, *out.rglob("*")) if each.is_dir())]:
+        require_writable(folder)
     aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.run.", dir=out.parent))
     try:
         seconds = run_notebook(NOTEBOOK, aside / "identify.ipynb", parameters, cwd=root)

@@ -7,13 +7,14 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 import pandas as pd
+from tqdm import tqdm
 
 from tras.display import plots
 from tras.export.c import to_c
 from tras.export.common import to_statespace
 from tras.export.equations import formulas
 from tras.export.matlab import to_matlab
-from tras.identification import figures
+from tras.identification import diagnosis, figures
 from tras.identification.command import LISTING
 from tras.identification.examples import example
 from tras.identification.identification import Identification
@@ -22,6 +23,7 @@ from tras.plotting import save_figure
 from tras.recording import Recording
 from tras.workflow import page
 from tras.workflow.files import umask
+from tras.workflow.study import terminal
 
 _READABLE = 300  # functions; of more no formulas are written
 
@@ -101,8 +103,9 @@ def _write_all(identification, log, name, stage):
     """Write everything into an empty folder; the table of what it holds."""
     (stage / "tables").mkdir()
     (stage / "figures").mkdir()
-    pictures = _figures(identification, stage / "figures")
-    tables = _tables(identification)
+    diagnosed = diagnosis.diagnose(identification)
+    pictures = _figures(identification, diagnosed, stage / "figures")
+    tables = _tables(identification, diagnosed)
     for key, (_, table) in tables.items():
         path = stage / "tables" / f"{key}.csv"
         table.to_csv(path, index=key == "correlation", float_format="%.10g", lineterminator="\n")
@@ -120,16 +123,17 @@ def _write_all(identification, log, name, stage):
     identification.linear.save(stage / "linear.npz")
     text = stage / "export" / "formulas.txt"
     equations = text.read_text(encoding="utf-8") if text.exists() else ""
-    html = write_page(identification, log, name, pictures, contents, failures, equations)
+    html = write_page(identification, diagnosed, log, name, pictures, contents, failures, equations)
     (stage / "report.html").write_text(html, encoding="utf-8")
     files = sorted(path.relative_to(stage).as_posix() for path in stage.rglob("*") if path.is_file())
     pd.DataFrame({"file": [*files, LISTING]}).to_csv(stage / LISTING, index=False, lineterminator="\n")
     return pd.DataFrame(contents, columns=["file", "what"])
 
 
-def _tables(identification):
+def _tables(identification, diagnosed):
     """Table -> (what it holds, the table)."""
     checks = identification.checks
+    tests = [each.table.assign(steps=each.steps) for each in diagnosed.tests.values() if not isinstance(each, str)]
     advice = pd.DataFrame(identification.advice, columns=["weight", "about", "text"])
     return {
         "channels": ("ranges, limits, steps and noise of every channel", checks.channels),
@@ -137,6 +141,7 @@ def _tables(identification):
         "spectra": ("spectra of every channel", checks.spectrum),
         "search": ("every candidate with its error", identification.search.drop(columns=["model"])),
         "metrics": ("the test", identification.metrics),
+        "residuals": ("tests of the residuals", pd.concat(tests, ignore_index=True) if tests else pd.DataFrame()),
         "growth": ("error against time ahead", identification.growth),
         "predictions": ("measured and predicted states over two test windows, with the band", identification.overlay),
         "eigenvalues": ("of the Koopman matrices", identification.eigenvalues),
@@ -144,7 +149,7 @@ def _tables(identification):
     }
 
 
-def _figures(identification, folder):
+def _figures(identification, diagnosed, folder):
     """Draw and save every figure: its name -> its picture for the page."""
     recording, model = identification.recording, identification.model
     names, units, inputs = list(recording.state_names), list(recording.state_units), list(recording.input_names)
@@ -158,15 +163,34 @@ def _figures(identification, folder):
         "growth": (figures.growth_figure, identification.growth),
         "spectrum": (plots.eigenvalue_figure, identification.eigenvalues),
     }
+    for key, tests in diagnosed.tests.items():
+        if not isinstance(tests, str):
+            shown = tests.correlations  # all of them are in the figure's table
+            drawings[key] = (_few_correlations, shown, [*names[:4]], ["itself", *inputs[: figures.SHOWN]])
+    if diagnosed.responses:
+        few = dict(list(diagnosis.outputs(identification).items())[:4])
+        of_inputs = dict(list(zip(inputs, recording.input_units))[: figures.SHOWN])
+        drawings["step"] = (figures.step_figure, diagnosed.responses.step, few, of_inputs)
+        few = dict(list(few.items())[: figures.SHOWN])
+        for number, source in enumerate(of_inputs.items()):
+            key = f"bode_{number + 1}" if number else "bode"
+            drawings[key] = (figures.bode_figure, diagnosed.responses.bode, few, source)
     pictures = {}
     run, table = _free_run(identification)
     save_figure(run, table, folder / "free_run")
     pictures["free_run"] = page.picture(folder, "free_run")
-    for key, (draw, table, *arguments) in drawings.items():
-        if len(table):  # no spectra of a short recording
-            save_figure(draw(table, *arguments), table, folder / key)
-            pictures[key] = page.picture(folder, key)
+    with terminal() as stream:
+        for key, (draw, table, *arguments) in tqdm(
+            drawings.items(), desc="figures", leave=False, disable=None, file=stream
+        ):
+            if len(table):  # no spectra of a short recording
+                save_figure(draw(table, *arguments), table, folder / key)
+                pictures[key] = page.picture(folder, key)
     return pictures
+
+
+def _few_correlations(table, states, others):
+    return plots.residual_figure(table[table["state"].isin(states) & table["against"].isin(others)])
 
 
 def _free_run(identification):
@@ -175,10 +199,12 @@ def _free_run(identification):
     if identification.model is identification.linear:
         del models["linear model"]
     longest = int(np.argmax(whole.lengths))
-    figure = plots.compare(whole, *models.values(), names=list(models), trajectory=longest)
     part = whole[[longest]]
+    runs = {name: np.asarray(model.predict(part)[0]) for name, model in models.items()}
+    which = f", trajectory {longest} of {len(whole)}" if len(whole) > 1 else ""
+    late = max(model.delays for model in models.values())
+    figure = plots.run_figure(part, models.values(), [run[late:] for run in runs.values()], list(models), which=which)
     table = {"time": np.arange(whole.lengths[longest]) * whole.dt}
-    runs = {name: model.predict(part)[0] for name, model in models.items()}
     for i, state in enumerate(whole.state_names):
         table |= {f"{state}: {name}": run[:, i] for name, run in {"true": part.states[0], **runs}.items()}
     return figure, pd.DataFrame(table)

@@ -69,8 +69,8 @@ class Identification(NamedTuple):
 
 def identify(
     recording: Recording, *, predictor: str | None = None, delays: Sequence[int] | None = None,
-    smoothing: bool | None = None, lead: int | None = None, horizon: float | None = None, draws: int = 30,
-    seed: int = 0,
+    smoothing: bool | None = None, lead: int | None = None, every: int | None = None, horizon: float | None = None,
+    draws: int = 30, seed: int = 0,
 ) -> Identification:  # fmt: skip
     """Check, search, fit, test: a model of a recording of which nothing else is known.
 
@@ -91,6 +91,10 @@ def identify(
     lead : {0, 1}, optional
         The only timing of the inputs to try (`KoopmanModel`). Default: as the recording says (``intersample``), or
         both.
+    every : int, optional
+        The only length of the model's step to try, in samples. Default: one sample, and longer steps where the states
+        move little between samples, compared with their noise. The model then has the longer sampling time, and what it
+        is used on is `Recording.decimated` by as much.
     horizon : float, optional
         How far ahead the model is to predict, in s: the length of the windows that it is chosen and tested on. Default:
         five times what the states remember.
@@ -117,11 +121,12 @@ def identify(
     Mechanical(degree=3, positions=[0], shape=[0], velocities=[1])
     """
     with one_blas_thread():  # small matrices: threads wait for each other; and the same bits everywhere
-        return _identify(join(recording), predictor, delays, smoothing, lead, horizon, draws, seed)
+        return _identify(join(recording), predictor, delays, smoothing, lead, every, horizon, draws, seed)
 
 
-def _identify(log, predictor, delays, smoothing, lead, horizon, draws, seed):
-    recording, idle_remarks = preparation.without_idle_channels(log)
+def _identify(log, predictor, delays, smoothing, lead, every, horizon, draws, seed):
+    recording, spike_remarks = preparation.without_spikes(log)
+    recording, idle_remarks = preparation.without_idle_channels(recording)
     train_log, test_log, partition_remark = preparation.partition(recording)
     lag = preparation.memory(train_log)
     samples, length_remark = preparation.window_length(train_log, lag, horizon)
@@ -133,11 +138,23 @@ def _identify(log, predictor, delays, smoothing, lead, horizon, draws, seed):
         rule = "as the user says" if named else "by their numbers"
         verb, drive = ("is", "drives") if one else ("are", "drive")
         pair_remarks.append(f"{', '.join(actuators)} {verb} {kind} the inputs and {drive} the body, {rule}")
-    training = preparation.Treatments(train_log, pairs, FITTED)
+    training, everything = (preparation.Treatments(part, pairs, FITTED) for part in (train_log, recording))
     table, search_remarks = search(
-        training, samples, predictor=predictor, delays=delays, smoothing=smoothing, lead=lead
+        training, samples, predictor=predictor, delays=delays, smoothing=smoothing, lead=lead, every=every
     )
-    latest = int(table["delays"].max())
+    row, model = _fitted(table, training)
+    every, alike = int(row["every"]), _same_data(table, row)
+    if every > 1:
+        recording, train_log, test_log = (
+            part.decimated(every, row["lead"]) for part in (recording, train_log, test_log)
+        )
+        samples, lag = -(-(samples - 1) // every) + 1, lag // every
+        step_remark = (
+            f"a step of the model is {every} samples ({recording.dt:.4g} s): between samples the states move little, "
+            "compared with their noise; the inputs are means over a step"
+        )
+        search_remarks.append(step_remark)
+    latest = int(table["delays"][alike].max())
     if test_log.lengths.max() <= latest + 5:
         raise ValueError(
             f"the trajectories kept for the test have {int(test_log.lengths.max())} samples, too few for {latest} "
@@ -146,13 +163,12 @@ def _identify(log, predictor, delays, smoothing, lead, horizon, draws, seed):
     test_log = test_log[test_log.lengths > latest + 5]
     windows = preparation.windows(test_log, samples, latest, TESTED)
 
-    row, model = _fitted(table, training)
     linear_row, linear = row, model
     if not (row["chosen"] and row["dictionary"] == LINEAR_DICTIONARY):
-        linear_row, linear = _fitted(table[table["dictionary"] == LINEAR_DICTIONARY], training)
+        linear_row, linear = _fitted(table[alike & (table["dictionary"] == LINEAR_DICTIONARY)], training)
 
     def tested():
-        return compare({CHOSEN: model, LINEAR: linear}, windows, test_log, training.whole(row["states"]), latest)
+        return compare({CHOSEN: model, LINEAR: linear}, windows, test_log, _data(training, row), latest)
 
     (metrics, runs), choice_remarks = tested(), []
     if remark := advice.worse_than_linear(metrics):
@@ -160,8 +176,8 @@ def _identify(log, predictor, delays, smoothing, lead, horizon, draws, seed):
         row, model = linear_row, linear
         metrics, runs = tested()
     table["chosen"] = table.index == row.name
-    train = training.whole(row["states"])
-    delivered = _refitted(model, preparation.Treatments(recording, pairs, FITTED).whole(row["states"]))
+    train = _data(training, row)
+    delivered = _refitted(model, _data(everything, row))
     ensemble, no_band = [], "" if draws else "no band was asked for"
     if draws:
         pieces = train.cut_all(max(samples, 4 * (latest + 2)))
@@ -170,7 +186,13 @@ def _identify(log, predictor, delays, smoothing, lead, horizon, draws, seed):
             ensemble = bootstrap(model, pieces, draws, seed)
         except ValueError as error:
             no_band = str(error)
-    remarks = {"idle": idle_remarks, "partition": [partition_remark, length_remark], "pairs": pair_remarks}
+    remarks = {
+        "idle": idle_remarks,
+        "spikes": spike_remarks,
+        "every": every,
+        "partition": [partition_remark, length_remark],
+        "pairs": pair_remarks,
+    }
     remarks |= {"search": search_remarks, "treatment": row["states"], "band": no_band, "error": row["windows"]}
     remarks["choice"] = choice_remarks
     identification = Identification(
@@ -190,12 +212,22 @@ def _fitted(table, training):
     reason = None
     for _, row in order.iterrows():
         try:
-            recording = _long_enough(training.whole(row["states"]), row["model"])
+            recording = _long_enough(_data(training, row), row["model"])
             model = clone(row["model"]).fit(recording)  # chooses the strength for so many pairs, if there is a choice
             return row, _refitted(model, recording) if hasattr(model, "errors_") else model
         except ValueError as error:
             reason = error
     raise ValueError(f"no candidate could be fitted to all of the training data{f': {reason}' if reason else ''}")
+
+
+def _data(treatments, row):
+    """What a candidate is fitted to."""
+    return treatments.whole(row["states"], int(row["every"]), int(row["lead"]))
+
+
+def _same_data(table, row):
+    """Which candidates predict the same samples of the same inputs as this one."""
+    return (table["every"] == row["every"]) & ((row["every"] == 1) | (table["lead"] == row["lead"]))
 
 
 def _refitted(model, recording):

@@ -7,21 +7,22 @@ import pandas as pd
 
 from tras import summary
 from tras.dictionaries.base import label
-from tras.identification import advice
+from tras.identification import advice, diagnosis
 from tras.io.formats import remarks
 from tras.workflow import page
 from tras.workflow.arguments import one_line
 
-_TERMS = 30  # of formulas on the page
+_TERMS = 12  # of an equation on the page; a longer one is in formulas.txt
 _ROWS = 40  # of a table on the page; the files have all
 
 
-def write_page(identification, log, name, figures, exports, failures, formulas="") -> str:
+def write_page(identification, diagnosed, log, name, figures, exports, failures, formulas="") -> str:
     """The page as text.
 
     Parameters
     ----------
     identification : Identification
+    diagnosed : Diagnosis
     log : Recording
         As read.
     name : str
@@ -50,7 +51,8 @@ def write_page(identification, log, name, figures, exports, failures, formulas="
     put(f"# Identification of {_plain(name)}")
     caption = (
         "A free run over the whole test: measured, and simulated from the first measured samples under the inputs "
-        "alone. The legend has the fit: 100 % is perfect, 0 % no better than the mean."
+        "alone. The legend has the fit: 100 % is perfect, 0 % no better than the mean. A triangle marks where a "
+        "simulation leaves the frame."
     )
     run = picture("free_run", "Measured and simulated states over the whole test", caption)
     put("## In short", text(advice.verdict(identification)), run, _formulas(formulas), _chosen(identification))
@@ -72,6 +74,9 @@ def write_page(identification, log, name, figures, exports, failures, formulas="
     )
     growth = picture("growth", "Error against time ahead", caption)
     put("## How well it predicts", text(_test_text(identification)), _metrics(identification), predictions, growth)
+    put("### What the errors still hold", *_residuals(diagnosed, picture))
+    if diagnosed.responses:
+        put("## Step and frequency response", *_responses(identification, diagnosed, picture))
     caption = (
         "Eigenvalues of the Koopman matrices and the unit circle; on the right the neighbourhood of one. One exactly "
         "belongs to the constant and to functions of inputs alone, which are held over a sample."
@@ -175,10 +180,16 @@ def _candidates(identification):
         numbers = [
             _number(row[name], digits) for name, digits in (("functions", ".0f"), ("strength", "g"), ("error", ".4g"))
         ]
+        numbers += [_number(row[name], digits) for name, digits in (("AIC", ".0f"), ("BIC", ".0f"), ("FPE", ".3g"))]
         rows.append([*options, *numbers, mark])
     more = f" The best {_ROWS} of {count}; all are in tables/search.csv." if count > _ROWS else ""
-    head = ["dictionary", "predictor", "delays", "lead", "states", "functions", "strength", "error (half-ranges)", ""]
-    return page.table(head, rows, f"Candidates, the least error first.{more}", kind="short")
+    head = ["dictionary", "predictor", "delays", "lead", "states", "functions", "strength", "error (half-ranges)"]
+    head += ["AIC", "BIC", "FPE", ""]
+    criteria = (
+        " AIC, BIC and FPE are of one-step predictions of what was fitted, as measured: the smaller, the better. They "
+        "know nothing of predictions further ahead, and do not choose."
+    )
+    return page.table(head, rows, f"Candidates, the least error first.{more}{criteria}", kind="short")
 
 
 def _test_text(identification):
@@ -214,7 +225,8 @@ def _metrics(identification):
 
 
 def _prediction_caption(identification):
-    band, members = f"There is no band: {identification.remarks['band']}.", len(identification.ensemble)
+    why = identification.remarks["band"].removesuffix(".")
+    band, members = f"There is no band: {why}.", len(identification.ensemble)
     if members:
         uncertain = "what is uncertain because the data are few or noisy, not what the dictionary cannot say"
         band = f"The band holds 90 % of {members} models fitted to resampled trajectories: {uncertain}."
@@ -226,13 +238,70 @@ def _number(value, digits):
     return format(value, digits) if math.isfinite(value) else "–"
 
 
+def _residuals(diagnosed, picture):
+    """Tests of the residuals over one sample and over several: sentences and figures."""
+    parts = [
+        "<p>What a model misses shows in its residuals, measured less predicted: of a good model they are correlated "
+        "neither with their own past nor with that of an input.</p>\n"
+    ]
+    for key, tests in diagnosed.tests.items():
+        if isinstance(tests, str):
+            parts.append(f"<p>{page.escape(tests)}</p>\n")
+            continue
+        parts.append(f"<p>{page.escape(f'{tests.verdict} {diagnosis.strongest(tests)}'.strip())}</p>\n")
+        reach = "one sample" if tests.steps == 1 else f"{tests.steps} samples"
+        caption = (
+            f"Correlation of the residuals of predictions over {reach}, and the bounds that a single lag of a right "
+            "model leaves in one case of a hundred. The tests above weigh all lags together: where an input is slow, "
+            "neighbouring lags say the same."
+        )
+        parts.append(picture(key, f"Correlations of residuals over {reach} with their bounds", caption))
+    return parts
+
+
+def _responses(identification, diagnosed, picture):
+    """The linear model about a point beside the recording's own response: sentences and figures."""
+    band = "There is no band, for the reason above."
+    if identification.ensemble:
+        band = f"The band holds 90 % of {len(identification.ensemble)} models fitted to resampled trajectories."
+    pairs = identification.pairs
+    more = "" if not pairs else " Velocities are left out, but are in the figures' tables."
+    step = f"Response to a step of one unit of each input, of the linearised model. {band}{more}"
+    parts = [_list(diagnosed.responses.remarks), picture("step", "Step responses of the linearised model", step)]
+    for key in ("bode", "bode_2"):
+        caption = (
+            "Bode plot of the linearised model (line) beside the recording's own response (dots). Hollow dots are not "
+            "to be trusted: the input has too little power there, or the response is uncertain by more than 30 %. "
+            f"Coherence is the share of a state's power that is linear in the inputs. {band}"
+        )
+        parts.append(picture(key, "Bode plot with the recording's own response", caption))
+    code = (
+        "model.linearize(x, u)  # A, B, C, D about a point, for python-control\nmodel.residuals(log, steps=10).plot()"
+    )
+    return [*parts, f"<pre>{page.escape(code)}</pre>\n"]
+
+
 def _formulas(formulas):
-    if not formulas:
+    """The equations of up to twelve terms; what the file says beside them stays there."""
+    comments = [line[2:] for line in formulas.splitlines() if line.startswith("# ")]
+    equations = [line for line in formulas.splitlines() if line and not line.startswith("#")]
+    file = '<a href="export/formulas.txt">formulas.txt</a>'
+    if not equations:
         return ""
-    if len(formulas) > 4000 or formulas.count(" + ") + formulas.count(" - ") >= _TERMS:
-        return '<p>The equations are long: <a href="export/formulas.txt">formulas.txt</a>.</p>\n'
-    heading = "<p>As formulas, without terms that change a row by less than 1 %:</p>"
-    return f"{heading}\n<pre>{page.escape(formulas.strip())}</pre>\n"
+    terms = [1 + line.count(" + ") + line.count(" - ") for line in equations]
+    short = [line for line, count in zip(equations, terms) if count <= _TERMS and len(line) <= 400]
+    if not short or len(equations) > _TERMS:
+        return f"<p>The equations are long ({sum(terms)} terms): see {file}.</p>\n"
+    what = comments[0].partition(", by tras")[0].partition(" by tras")[0]
+    heading = f"<p>{page.escape(what)}, without terms that change a row by less than 1 % ({file} has the details):</p>"
+    rest = [
+        f"{line.partition(' = ')[0]} = ...  # {count} terms"
+        for line, count in zip(equations, terms)
+        if line not in short
+    ]
+    names = [f"# {line}" for line in comments if line.startswith("Names: ") and len(line) <= 200]
+    text = "\n".join([*names, *short, *rest])
+    return f"{heading}\n<pre>{page.escape(text)}</pre>\n"
 
 
 def _files(exports):

@@ -15,6 +15,11 @@ _FEWEST_TRIALS = 5  # from which on whole trials are held back for the test
 _CHUNK = 2001  # samples that are smoothed at once
 _STILL_MOVES = 0.5  # the same of what is learnt from
 _MOVES = 0.2  # standard deviation of a state in the test over that in the whole recording, at least, if it can be had
+_SPIKE = 0.3  # of the range of the others: how far a lone sample is from both of its neighbours
+_RARE = 0.005  # share of such samples, at most
+_LOUD = 1 / 30  # noise over what a state moves within a sample, from which on longer steps are tried
+_COARSE = 0.3  # what a state moves within a step, in standard deviations, at most
+_STEPS = 500  # pairs that longer steps must leave
 _FINE = 2e-4  # noise, as a fraction of the range, that is not worth smoothing away
 
 
@@ -49,6 +54,62 @@ def without_idle_channels(recording: Recording) -> tuple[Recording, list[str]]:
         remedy = "Give others as states, or record while something happens."
         raise ValueError(f"no state moves: {'; '.join(remarks)}. {remedy}")
     return recording.select(states=states, inputs=[name for name in recording.input_names if name in active]), remarks
+
+
+def without_spikes(recording: Recording) -> tuple[Recording, list[str]]:
+    """The recording with the mean of the neighbours in place of a lone sample that is far from both; and remarks.
+
+    A lost byte or a glitch of a sensor: what moves by itself does not leave for one sample and come back to where it
+    was. One such sample can outweigh all others in a least-squares fit.
+    """
+    columns, remarks = [x.copy() for x, _ in recording], []
+    for j, name in enumerate(recording.state_names):
+        apart = [np.abs(x[1:-1, j] - (x[2:, j] + x[:-2, j]) / 2) for x in columns]
+        gaps = [np.abs(x[2:, j] - x[:-2, j]) for x in columns]
+        together, values = np.concatenate(apart), np.concatenate([x[1:-1, j] for x in columns])
+        lone = together > 5 * np.concatenate(gaps)
+        lone &= together > 10 * np.quantile(together, 0.99) if len(together) else False
+        rest = values[~lone]
+        lone &= together > _SPIKE * np.ptp(rest) if len(rest) else False
+        if not lone.any() or lone.sum() > max(1, _RARE * len(lone)) or np.ptp(rest) == 0:
+            continue
+        i = int(np.abs(together * lone).argmax())
+        for x, of_this in zip(columns, np.split(lone, np.cumsum([len(part) for part in apart])[:-1])):
+            for k in 1 + np.flatnonzero(of_this):
+                x[k, j] = (x[k - 1, j] + x[k + 1, j]) / 2
+        count = f"{lone.sum()} lone samples" if lone.sum() > 1 else "a lone sample"
+        remarks.append(
+            f"{name} has {count} far from both neighbours (the farthest is {values[i]:.4g}), which the means of the "
+            "neighbours replace"
+        )
+    return recording.with_data(columns, [u for _, u in recording]) if remarks else recording, remarks
+
+
+def steps(recording: Recording, samples: int) -> list[int]:
+    """Lengths of a model's step to try, in samples: 1, and longer ones where the recording is finer than it need be.
+
+    A fit of single steps tells the motion from the noise by what the states move within a step. Where that is less than
+    thirty times the noise, the longest step is tried over which no state moves by more than 0.3 standard deviations (20
+    steps per period of a sine), and a quarter of it. It leaves eight steps to a window of ``samples``.
+    """
+    if recording.lengths.max() < 10:
+        return [1]
+    spread = np.concatenate([x for x, _ in recording]).std(axis=0)
+
+    def move(every):
+        changes = [x[every:] - x[:-every] for x, _ in recording if len(x) > every]
+        return np.sqrt(np.mean(np.concatenate(changes) ** 2, axis=0))
+
+    if (noise_level(recording) < _LOUD * move(1)).all():
+        return [1]
+    longest = 1
+    while (
+        recording.pairs // (2 * longest) >= _STEPS
+        and (samples - 1) // (2 * longest) >= 8
+        and (move(2 * longest) <= _COARSE * spread).all()
+    ):
+        longest *= 2
+    return [step for step in sorted({1, longest // 4, longest}) if step]
 
 
 def partition(recording: Recording) -> tuple[Recording, Recording, str]:
@@ -111,11 +172,12 @@ def _moving_fifth(recording, edges):
     return int(np.flatnonzero(score == score.max())[-1]) if score.max() > 0 else 4
 
 
-def held_out(lengths: np.ndarray, fewest: int) -> tuple[list, list]:
+def held_out(lengths: np.ndarray, fewest: int, grid: int = 1) -> tuple[list, list]:
     """Stretches (trajectory, first, last sample) to learn from, and those to judge a choice by; each pair is in one.
 
     Of five trajectories or more that have ``fewest`` samples, every fifth one is to judge by. Otherwise it is the third
-    and the eighth tenth of each trajectory, or the third fifth where a tenth has fewer than ``fewest`` samples.
+    and the eighth tenth of each trajectory, or the third fifth where a tenth has fewer than ``fewest`` samples. Those
+    begin and end at multiples of ``grid``.
     """
     learn, judge = [], []
     long = np.flatnonzero(lengths >= fewest)
@@ -128,7 +190,7 @@ def held_out(lengths: np.ndarray, fewest: int) -> tuple[list, list]:
         if (length - 1) // parts < fewest - 1:
             learn.append((i, 0, length - 1))
             continue
-        edges, start = np.linspace(0, length - 1, parts + 1).astype(int), 0
+        edges, start = np.linspace(0, length - 1, parts + 1).astype(int) // grid * grid, 0
         for k in of_judge:
             learn.append((i, start, int(edges[k])))
             judge.append((i, int(edges[k]), int(edges[k + 1])))
@@ -247,11 +309,11 @@ class Treatments:
         """These treatments, or new ones of fewer pairs."""
         return self if self.whole("as measured").pairs <= most else Treatments(self.recording, self.pairs, most)
 
-    def whole(self, name: str) -> Recording:
-        """All trajectories under one treatment."""
+    def whole(self, name: str, every: int = 1, lead: int = 0) -> Recording:
+        """All trajectories under one treatment, `Recording.decimated` after it."""
         if name not in self._treated:
             self._treated[name] = smoothed(self._treated["as measured"], self.pairs)
-        return self._treated[name]
+        return self._treated[name].decimated(every, lead)
 
 
 def thinned(pieces: Recording, most: float) -> Recording:

@@ -1,9 +1,9 @@
 """Which dictionary, predictor, delays and treatment of noise: candidates judged by roll-outs of held-out trajectories.
 
 `choose` compares the models that it is given. `search`, for `tras.identify`, has two rounds of its own, because all
-combinations take too long: treatments, delays and the input's timing, with a linear and a nonlinear dictionary; then
-every dictionary and predictor at the best of these, and without delays. Every prediction starts from samples as they
-were measured up to that instant.
+combinations take too long: treatments, the length of a step, delays and the input's timing, with a linear and a
+nonlinear dictionary; then every dictionary and predictor at the best of these, and without delays. Every prediction
+starts from samples as they were measured up to that instant.
 """
 
 import math
@@ -25,6 +25,8 @@ from tras.identification.preparation import Treatments, is_noisy
 from tras.metrics import capped, diverged, multi_step_error
 from tras.model import KoopmanModel
 from tras.recording import Recording, join
+from tras.workflow import arguments
+from tras.workflow.study import terminal
 
 SEARCHED = 20_000  # snapshot pairs that `search` looks at, at most
 DELAYS = (0, 1, 2, 4, 8, 16, 32)  # that `search` tries by default
@@ -130,7 +132,7 @@ def choose(recording: Recording, models: Iterable | None = None) -> tuple[Koopma
 
 def search(
     treatments: Treatments, samples: int, *, predictor: str | None = None, delays: Sequence[int] | None = None,
-    smoothing: bool | None = None, lead: int | None = None,
+    smoothing: bool | None = None, lead: int | None = None, every: int | None = None,
 ) -> tuple[pd.DataFrame, list[str]]:  # fmt: skip
     """Candidates for a recording of which nothing else is known, and their errors.
 
@@ -143,15 +145,16 @@ def search(
         Of the training trajectories.
     samples : int
         Length of a window.
-    predictor, delays, smoothing, lead
+    predictor, delays, smoothing, lead, every
         As for `tras.identify`.
 
     Returns
     -------
     table : pandas.DataFrame
-        One row per candidate: ``round, states`` ("as measured" or "smoothed"), ``delays, lead, predictor,
-        dictionary``, ``functions, strength, error, windows, free, lost, failure, squares`` as in `attempt`, ``model``
-        (unfitted), ``chosen``. The truth, and what predictions start from, is always what was measured.
+        One row per candidate: ``round, states`` ("as measured" or "smoothed"), ``every`` (samples of a step), ``delays,
+        lead, predictor, dictionary``, ``functions, strength, error, windows, free, lost, failure, squares`` as in
+        `attempt`, ``model`` (unfitted), ``chosen``. The truth, and what predictions start from, is always what was
+        measured.
     remarks : list of str
         Sentences on the data that were used.
 
@@ -164,61 +167,84 @@ def search(
     names = ["smoothed"] if smoothing else ["as measured"]
     if smoothing is None and is_noisy(recording):
         names.append("smoothed")
-    if delays is None:
-        complete = recording.n == 2 * len(pairs) + len(find_actuators(recording, pairs))
-        delays = _delays(recording, complete=complete and not is_noisy(recording, _AVERAGED))
-    latest, leads = max(delays), _leads(recording, lead)
-    parts, windows, blocks, remarks = _parts(treatments, names, samples, latest)
-    rows, keys = [], set()
+    arguments.whole_number("every", 1 if every is None else every)
+    steps = preparation.steps(recording, samples) if every is None else [every]
+    complete = recording.n == 2 * len(pairs) + len(find_actuators(recording, pairs))
+    complete = complete and not is_noisy(recording, _AVERAGED)
+    tried = {q: _delays(recording.decimated(q), complete) if delays is None else list(delays) for q in steps}
+    longest = max(steps)
+    latest = max(-(-q * max(tried[q]) // longest) * longest for q in steps)  # a multiple of every step
+    samples = -(-(samples - 1) // longest) * longest + 1
+    parts, windows, blocks, remarks = _parts(treatments, names, samples, latest, longest)
+    leads = _leads(recording, lead)
+    rows, keys, cut = [], set(), {}
+
+    def of(setting):
+        """What is fitted and what it is judged by, at one length of a step."""
+        name, q, d, k = setting
+        key = (name, q, k) if q > 1 else name
+        if key not in cut:
+            cut[key] = [part and part.decimated(q, k) for part in (parts[name], windows, blocks, parts["as measured"])]
+        return cut[key]
 
     def attempt_all(number, description, models):
-        for name, model in tqdm(models, desc=description, leave=False, disable=None):
-            if (name, repr(model)) not in keys:
-                keys.add((name, repr(model)))
-                options = {"delays": model.delays, "lead": model.lead, "predictor": model.predictor}
-                options["dictionary"] = label(model.dictionary)
+        with terminal() as stream:  # behind the notebook of `make identify`, too
+            for setting, dictionary, predictor in tqdm(
+                models, desc=description, leave=False, disable=None, file=stream
+            ):
+                name, q, d, k = setting
+                model = KoopmanModel(dictionary, predictor, d, lead=k)
+                if (name, q, repr(model)) in keys:
+                    continue
+                keys.add((name, q, repr(model)))
+                options = {"every": q, "delays": d, "lead": k, "predictor": predictor, "dictionary": label(dictionary)}
+                train, starts, longer, measured = of(setting)
                 # Without delays no pair is lost by a cut, and the choice of a strength needs no longer roll-outs.
-                train = parts[name] if model.delays else parts[name].cut_all(samples)
-                scores = attempt(model, train, windows, latest, blocks)
+                train = train if d else train.cut_all((samples - 1) // q + 1)
+                scores = _settled(model, rows, name, q, train, starts, latest // q, longer, measured, half_range)
                 rows.append({"round": number, "states": name, **options, **scores, "model": model})
         return pd.DataFrame(rows)
 
+    half_range = np.ptp(windows.states, axis=(0, 1)) / 2
     first = predictor or "one_step"
-    timings = [(name, d, k) for name in names for d in delays for k in leads]
-    models = [(name, KoopmanModel(Monomials(1), first, d, lead=k)) for name, d, k in timings]
-    table = attempt_all(1, "treatments and delays", models)
+    settings = [(name, q, d, k) for name in names for q in steps for d in tried[q] for k in leads]
+    table = attempt_all(1, "treatments and delays", [(setting, Monomials(1), first) for setting in settings])
     # The timing of the input shows in a linear model too; so the slower dictionaries try what it leaves open.
-    least = {k: table.loc[table["lead"] == k, "error"].min() for k in leads}
+    least = table.groupby(["every", "lead"])["error"].min()
     models = [
-        (name, KoopmanModel(dictionary, first, d, lead=k))
-        for name, d, k in timings
-        if d <= _CURVED and least[k] <= CLOSE * min(least.values())
-        for dictionary in _curved(parts[name], d, first)
+        (setting, dictionary, first)
+        for setting in settings
+        for _, q, d, k in [setting]
+        if d <= _CURVED and least[q, k] <= CLOSE * least[q].min()
+        for dictionary in _curved(of(setting)[0], d, first)
     ]
     table = attempt_all(1, "treatments and delays", models)
     leaders = [best(table, CLOSE)]
     curved = table[table["dictionary"] != LINEAR_DICTIONARY]
     if np.isfinite(curved["error"]).any():  # few delays may suit a dictionary that is not linear, many a linear one
         leaders.append(best(curved, CLOSE))
-    settings = [(row["states"], int(row["delays"]), int(row["lead"])) for row in leaders]
-    settings.append((settings[0][0], delays[0], settings[0][2]))
-    settings = list(dict.fromkeys(settings))
+    finest = curved[curved["every"] == min(steps)]
+    if leaders[0]["every"] > min(steps) and np.isfinite(finest["error"]).any():  # the right dictionary needs no average
+        leaders.append(best(finest, CLOSE))
+    settings = [(row["states"], *(int(row[key]) for key in ("every", "delays", "lead"))) for row in leaders]
+    name, q, _, k = settings[0]
+    settings = list(dict.fromkeys([*settings, (name, q, tried[q][0], k)]))
     models = [
-        (name, KoopmanModel(dictionary, first, d, lead=k))
-        for name, d, k in settings
-        for dictionary in _dictionaries_of(parts[name], d, pairs, first)
+        (setting, dictionary, first)
+        for setting in settings
+        for dictionary in _dictionaries_of(of(setting)[0], setting[2], pairs, first)
     ]
     table = attempt_all(2, "dictionaries", models)
     if predictor is None:  # a field is integrated: several evaluations per sample, so only where one step does well
-        least = table["error"].min()
-        hopeful = table[table["error"] <= _HOPEFUL * least]
-        good = set(zip(hopeful["states"], hopeful["delays"], hopeful["dictionary"]))
+        hopeful = table[table["error"] <= _HOPEFUL * table["error"].min()]
+        good = set(zip(*(hopeful[key] for key in ("states", "every", "delays", "dictionary"))))
         models = [
-            (name, KoopmanModel(dictionary, "vector_field", d, lead=k))
-            for name, d, k in settings
+            (setting, dictionary, "vector_field")
+            for setting in settings
+            for name, q, d, _ in [setting]
             if not d or not recording.m  # with delays a vector field could not know the earlier inputs
-            for dictionary in _dictionaries_of(parts[name], d, pairs, "vector_field")
-            if isinstance(dictionary, Mechanical) or (name, d, label(dictionary)) in good
+            for dictionary in _dictionaries_of(of(setting)[0], d, pairs, "vector_field")
+            if isinstance(dictionary, Mechanical) or (name, q, d, label(dictionary)) in good
         ]
         table = attempt_all(2, "vector fields", models)
     table["chosen"] = table.index == best(table, CLOSE).name
@@ -247,7 +273,26 @@ def _leads(recording, lead):
     return [1] if intersample in ("foh", "bl") else [0, 1]
 
 
-def attempt(model, train: Recording, windows: Recording, latest: int, blocks: Recording | None = None) -> dict:
+def _settled(model, rows, name, every, *data):
+    """`attempt` of a vector field with the strength that was chosen for one step, for K is the same; else of its own.
+
+    A choice by roll-outs of a field takes longer than all the rest.
+    """
+    same = {"states": name, "every": every, "delays": model.delays, "lead": model.lead, "predictor": "one_step"}
+    same |= {"dictionary": label(model.dictionary), "failure": ""}
+    if model.predictor == "vector_field":
+        for row in rows:
+            if all(row[key] == value for key, value in same.items()):
+                scores = attempt(clone(model).set_params(strength=float(row["strength"])), *data)
+                if not scores["failure"]:  # without a logarithm a stronger one may do
+                    return scores
+    return attempt(model, *data)
+
+
+def attempt(
+    model, train: Recording, windows: Recording, latest: int, blocks: Recording | None = None,
+    measured: Recording | None = None, half_range=None,
+) -> dict:  # fmt: skip
     """Fit a copy of one candidate, and judge it by roll-outs over trajectories that it was not fitted to.
 
     Parameters
@@ -261,6 +306,10 @@ def attempt(model, train: Recording, windows: Recording, latest: int, blocks: Re
         The sample from which predictions begin.
     blocks : Recording, optional
         Longer stretches, for free runs.
+    measured : Recording, optional
+        What was fitted, as measured: for information criteria of the same samples, whatever the treatment.
+    half_range : (n,) ndarray, optional
+        What errors refer to. Default: that of the states in the windows.
 
     Returns
     -------
@@ -268,11 +317,12 @@ def attempt(model, train: Recording, windows: Recording, latest: int, blocks: Re
         ``functions``, ``strength`` (NaN if the estimator has none), ``windows`` and ``free`` (root mean squares over
         windows and free runs, in half-ranges of the states, each sample's at most 10), ``error`` (their geometric mean;
         infinite without a model), ``lost`` (windows in which the prediction ran away), ``failure`` (empty, or why there
-        is no model), ``squares`` (the mean square of each window).
+        is no model), ``squares`` (the mean square of each window), and with ``measured`` ``AIC, BIC, FPE`` (NaN where
+        unknown).
     """
     model, failure = clone(model), ""
-    error, apart, free, lost, squares = math.inf, math.inf, math.nan, len(windows), None
-    half_range = np.ptp(windows.states, axis=(0, 1)) / 2
+    error, apart, free, lost, squares, information = math.inf, math.inf, math.nan, len(windows), None, {}
+    half_range = np.ptp(windows.states, axis=(0, 1)) / 2 if half_range is None else half_range
     half_range = np.where(half_range > 0, half_range, 1.0)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # divergence is part of the error, not a warning
@@ -285,12 +335,25 @@ def attempt(model, train: Recording, windows: Recording, latest: int, blocks: Re
                 misses = np.concatenate([(run - x[latest:]) / half_range for run, (x, _) in runs])
                 free = float(np.sqrt(np.mean(capped(misses) ** 2)))
                 error = math.sqrt(apart * free)
+        if measured is not None:
+            information = _criteria(model, measured, latest)
     except (ValueError, MemoryError) as reason:
         failure = str(reason)
     functions = len(model.names_) if hasattr(model, "names_") else np.nan
     size = {"functions": functions, "strength": getattr(model, "strength_", np.nan)}
     scores = {"error": error, "windows": apart, "free": free, "lost": lost, "failure": failure, "squares": squares}
+    if measured is not None:
+        scores |= {name: information.get(name, math.nan) for name in ("AIC", "BIC", "FPE")}
     return size | scores
+
+
+def _criteria(model, measured, latest):
+    """AIC, BIC and FPE of all states together, of the same one-step predictions whatever the model's delays."""
+    measured = measured[measured.lengths > latest + 1]
+    try:
+        return model.information_criteria(without_first(measured, latest - model.delays)).iloc[-1]
+    except ValueError:  # as many parameters as samples, or a prediction that runs away
+        return {}
 
 
 def roll_outs(model, starts: Recording, latest: int) -> list[np.ndarray]:
@@ -342,18 +405,19 @@ def _within_spread(row, leader):
     return bool(np.quantile(np.sqrt(windows * free), 0.05) <= 1)
 
 
-def _parts(treatments, names, samples, latest):
+def _parts(treatments, names, samples, latest, grid):
     """Treatment -> stretches to fit; windows and stretches held out, as measured; and remarks on these."""
     train, treatments = treatments.recording, treatments.at_most(2 * SEARCHED)
     measured = treatments.whole("as measured")
-    learn, judge = preparation.held_out(measured.lengths, latest + 5)
+    learn, judge = preparation.held_out(measured.lengths, latest + 5 * grid, grid)
     if not judge:
         raise ValueError(
             f"there are {train.pairs} snapshot pairs in {len(train)} trajectories to learn from, too few to hold out "
-            f"stretches of {latest + 5} samples for the choice of a model: record more, or try fewer delays."
+            f"stretches of {latest + 5 * grid} samples for the choice of a model: record more, or try fewer delays."
         )
     learn = [(i, a, b) for i, a, b in learn if b - a > latest]
-    parts = {name: preparation.stretches(treatments.whole(name), learn) for name in names}
+    treated = dict.fromkeys([*names, "as measured"])
+    parts = {name: preparation.stretches(treatments.whole(name), learn) for name in treated}
     blocks = preparation.stretches(measured, judge)
     windows = preparation.windows(blocks, samples, latest, SEARCHED // 2)
     longest = [(i, a, min(b, a + latest + _FREE)) for i, a, b in sorted(judge, key=lambda span: span[1] - span[2])[:8]]

@@ -22,6 +22,7 @@ _LINEAR_STEPS = 5  # more of them only creep
 _BAND = 0.05  # eigenvalues this close to the largest are watched in a linearised step
 _INSIDE = 1e-6  # A must be strictly stable, or its Lyapunov norm does not exist
 _ROUND = 20  # iterations with the same S
+_ITERATIONS, _FEW = 100, 300  # by default, up to so many functions; with more as many as take about as long
 _WEIGHT = 1e-10  # of a regressor's length, against changes that the data do not determine
 
 
@@ -34,8 +35,8 @@ def stable_change(fit, D, n: int, m: int, **options) -> np.ndarray:
     """`stable_least_squares` in the terms of `tras.koopman.lifted_linear_rows`: rows ``[1, x, u, further functions]``.
 
     ``fit`` is a `LeastSquares`; D (N + m, N) stands for A - I and B, its coefficients or regularized ones; n and m
-    count states and inputs; ``options`` are ``radius`` and ``iterations``. Returns (N + m, N), D itself if it is stable
-    already.
+    count states and inputs; ``options`` are ``radius``, ``iterations`` and ``unsettled``. Returns (N + m, N), D itself
+    if it is stable already.
     """
     p, N = D.shape
     order = np.r_[: 1 + n, 1 + n + m : p, 1 + n : 1 + n + m]
@@ -49,7 +50,7 @@ def stable_change(fit, D, n: int, m: int, **options) -> np.ndarray:
     return change
 
 
-def stable_least_squares(R, free, *, constant=True, radius=1.0, iterations=100) -> np.ndarray:
+def stable_least_squares(R, free, *, constant=True, radius=1.0, iterations=None, unsettled=None) -> np.ndarray:
     """``[psi(x), u] @ coefficients = psi(y)`` by least squares, with no eigenvalue of A beyond ``radius``.
 
     The problem is not convex. The result is feasible and never worse than the free solution with its eigenvalues drawn
@@ -74,9 +75,11 @@ def stable_least_squares(R, free, *, constant=True, radius=1.0, iterations=100) 
         The first function is the constant 1, whose own eigenvalue is one; the bound is on the other functions, for
         which it is an input.
     radius : float
-    iterations : int
+    iterations : int, optional
         Steps on M, of order N^3; 0 leaves the improved start. A hundred take about 0.05 s for 30 functions, 0.5 s for
-        100, 3 s for 200.
+        100, 3 s for 200. Default: 100, beyond 300 functions as many as take about as long, but 20 at least.
+    unsettled : callable, optional
+        Called with the number of iterations if these were used up while twenty of them still gained 1 % or more.
 
     Returns
     -------
@@ -97,7 +100,7 @@ def stable_least_squares(R, free, *, constant=True, radius=1.0, iterations=100) 
     >>> np.diag(A).round(6)
     array([1. , 0.5])
     """
-    R, free = _checked(R, free, constant, radius, iterations)
+    R, free, iterations = _checked(R, free, constant, radius, iterations)
     p, N = free.shape
     outer, inner = np.r_[: int(constant), N:p], np.arange(int(constant), N)
     block, rows = np.ix_(inner, inner), np.ix_(outer, inner)
@@ -109,7 +112,7 @@ def stable_least_squares(R, free, *, constant=True, radius=1.0, iterations=100) 
     weights = np.diag(_WEIGHT * np.where(lengths > 0, lengths, 1.0))
     R = np.linalg.qr(np.vstack([R, weights])[:, np.r_[outer, inner]], mode="r")
     k, F = len(outer), free[block].T
-    A = _nearest(F, R[k:, k:].T, radius, iterations)
+    A = _nearest(F, R[k:, k:].T, radius, iterations, unsettled or (lambda count: None))
     coefficients = free.copy()
     coefficients[block] = A.T
     coefficients[rows] -= _triangular(R[:k, :k], R[:k, k:] @ (A - F).T, lower=False)
@@ -117,10 +120,10 @@ def stable_least_squares(R, free, *, constant=True, radius=1.0, iterations=100) 
     return coefficients
 
 
-def _nearest(F, L, radius, iterations):
+def _nearest(F, L, radius, iterations, unsettled):
     """A of spectral radius at most ``radius`` with small ``|(A - F) L|_F``; L (N, N) lower triangular."""
     white = _triangular(L, F @ L)  # the coordinates of orthonormal regressors: L^-1 F L
-    A = _contractions(white, L, radius, iterations, _linear_steps(white, L, radius))
+    A = _contractions(white, L, radius, iterations, _linear_steps(white, L, radius), unsettled)
     A = _triangular(L, (L @ A).T, trans="T").T
     plain = _drawn_back(F, radius)[0]
     # False for NaN. True only if the regressors are so nearly dependent that the change of coordinates lost more than
@@ -192,7 +195,7 @@ def _least_distance(gram, room):
     return u * (size / big / left_over) if left_over > 0 else 0 * u
 
 
-def _contractions(free, L, radius, iterations, A):
+def _contractions(free, L, radius, iterations, A, unsettled):
     """From A: the best M with the S of its Lyapunov norm, then again, as long as that gains one percent."""
     cost, gram = _cost(free, L), L.T @ L
     for start in range(0, iterations, _ROUND):
@@ -201,6 +204,8 @@ def _contractions(free, L, radius, iterations, A):
         A = min((A, _best_contraction(free, gram, S, M, radius, min(iterations - start, _ROUND), cost)), key=cost)
         if not cost(A) < 0.99 * before:
             break
+    else:
+        unsettled(iterations)
     return A
 
 
@@ -274,5 +279,8 @@ def _checked(R, free, constant, radius, iterations):
     if constant and np.linalg.norm(R @ (free[:, 0] - np.eye(len(free))[0])) > 1e-6 * np.linalg.norm(R[:, 0]):
         raise ValueError("free does not predict its first function as a constant; put that first, or constant=False.")
     arguments.number("radius", radius, 0, ends=False, give="a positive number, 1 for a model whose powers stay bounded")
+    if iterations is None:
+        N = free.shape[1]
+        iterations = _ITERATIONS if N <= _FEW else max(_ROUND, round(_ITERATIONS * (_FEW / N) ** 3))
     arguments.whole_number("iterations", iterations, 0)
-    return R, free
+    return R, free, iterations

@@ -1,5 +1,6 @@
 """Processors: how many threads a fit takes, and BLAS held to one, so that sums have the same bits."""
 
+import contextlib
 import os
 import threading
 from functools import cache
@@ -7,6 +8,7 @@ from multiprocessing import parent_process
 
 from threadpoolctl import ThreadpoolController
 
+_SMALL = 500  # functions up to which threads of BLAS cost more than they bring
 _MOST = 8  # threads of a fit; each has a panel of rows of its own
 _libraries = cache(ThreadpoolController)  # looking for the libraries takes milliseconds
 
@@ -50,3 +52,11 @@ def one_blas_thread():
     The number is one of the process: fits of several threads share the context, and the last one to leave restores it.
     """
     return _one_thread
+
+
+def few_blas_threads(size: int) -> contextlib.AbstractContextManager:
+    """A context for matrices of this size: one thread of BLAS up to 500 rows, beyond that as many as there are.
+
+    Threads wait for each other between small products, and that waiting takes processor time.
+    """
+    return one_blas_thread() if size <= _SMALL else contextlib.nullcontext()

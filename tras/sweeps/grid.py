@@ -2,6 +2,7 @@
 
 import inspect
 import itertools
+import math
 from typing import NamedTuple
 
 from sklearn.base import clone
@@ -13,6 +14,7 @@ from tras.workflow import arguments
 from tras.workflow.arguments import did_you_mean, short
 
 MODEL = {name: parameter.default for name, parameter in inspect.signature(KoopmanModel).parameters.items()}
+MAX_POINTS = 20_000  # of a sweep; so many take seconds to list and days to fit
 DATA = {"seconds": None, "every": 1, "split_seed": 0}
 
 
@@ -48,7 +50,7 @@ def points(grid) -> list[Point]:
     Raises
     ------
     ValueError
-        On an unknown option, dictionary or parameter, or a value that is none.
+        On an unknown option, dictionary or parameter, a value that is none, or more than 20 000 points.
     """
     every = {}
     for part in grid if isinstance(grid, (list, tuple)) else [grid]:
@@ -59,6 +61,7 @@ def points(grid) -> list[Point]:
             raise ValueError(f"grid holds {short(repr(part), 60)}; {remedy}.")
         for point in _combinations(part):
             every.setdefault(str(point.identity()), point)
+            _require_few(len(every))
     if not every:
         raise ValueError("grid is empty; give at least {'dictionary': [...]}.")
     return list(every.values())
@@ -72,6 +75,7 @@ def _combinations(part):
     if "dictionary" not in values:
         raise ValueError("grid names no dictionary; give for example {'dictionary': [tras.Monomials(2)]}.")
     values["dictionary"] = [dictionary for spec in values["dictionary"] for dictionary in dictionaries(spec)]
+    _require_few(math.prod(map(len, values.values())))
     for combination in itertools.product(*values.values()):
         options = dict(zip(values, combination))
         data = {name: options.pop(name, default) for name, default in DATA.items()}
@@ -103,7 +107,9 @@ def dictionaries(spec) -> list[Dictionary]:
     if name in ("Union", "Product"):
         if not isinstance(parameters, list) or not parameters:
             raise ValueError(f"grid: {name} has {short(repr(parameters), 60)}; give a list of dictionaries.")
-        return [KINDS[name](*map(clone, parts)) for parts in itertools.product(*map(dictionaries, parameters))]
+        choices = [dictionaries(part) for part in parameters]
+        _require_few(math.prod(map(len, choices)))
+        return [KINDS[name](*map(clone, parts)) for parts in itertools.product(*choices)]
     parameters = parameters or {}
     if not isinstance(parameters, dict):
         raise ValueError(
@@ -116,7 +122,16 @@ def dictionaries(spec) -> list[Dictionary]:
                 f"grid: {name} has no parameter {short(repr(parameter), 60)}{did_you_mean(parameter, known)}"
             )
     values = {parameter: _values(f"{name}: {parameter}", value) for parameter, value in parameters.items()}
+    _require_few(math.prod(map(len, values.values())))
     return [KINDS[name](**dict(zip(values, combination))) for combination in itertools.product(*values.values())]
+
+
+def _require_few(count):
+    """Refuse a grid by the number of its points, before they are made."""
+    if count > MAX_POINTS:
+        number = f"{count}" if count < 1e12 else "more than 1e12"
+        remedy = "give fewer values, or several smaller grids"
+        raise ValueError(f"grid: {number} points or more, up to {MAX_POINTS} are fitted; {remedy}.")
 
 
 def _values(option, value):

@@ -13,6 +13,8 @@ from tras.workflow import arguments
 # The paper's excitation, in the order of the plant's inputs (pitch, yaw). "0.8 and 0.2 rad/cycle" is read as rad/s.
 PITCH_MAX_FREQUENCY, YAW_MAX_FREQUENCY = 0.2, 0.8  # rad/s
 PITCH_PEAK, YAW_PEAK = 1.22173, math.pi  # rad
+_SAMPLES = 100_000_000  # of a signal, at most: 0.8 GB per channel
+_DRAWN = 100_000_000  # points of all draws of a channel, at most: 1.6 GB on the way
 
 
 def multisine(
@@ -54,7 +56,8 @@ def multisine(
     Raises
     ------
     ValueError
-        If a channel has no line, a line is not below the Nyquist frequency, or no draw is uncorrelated enough.
+        If a channel has no line, a line is not below the Nyquist frequency, no draw is uncorrelated enough, or there
+        would be more than 1e8 samples, or points of all draws.
 
     Examples
     --------
@@ -70,6 +73,9 @@ def multisine(
         raise ValueError(f"{sizes}; give one of each per channel.")
     lines = [multisine_lines(duration, dt, top) for top in max_frequency]
     points = min(samples - 1, 16 * max(lines))  # enough to judge crest factors; correlations are exact on it
+    if draws * points > _DRAWN:
+        need = f"{draws} draws of {max(lines)} lines are {draws * points:.2g} numbers, more than {_DRAWN:.0e}"
+        raise ValueError(f"duration = {duration:g} s: {need}; give fewer draws, or a shorter duration.")
     channels = []
     for i, count in enumerate(lines):
         phases = 2 * np.pi * rng.random((draws, count))
@@ -153,6 +159,9 @@ def grid(duration: float, dt: float) -> int:
     """Number of samples 0, dt, ..., duration; ``duration`` must be a whole number of ``dt``."""
     for name, value in (("duration", duration), ("dt", dt)):
         arguments.number(name, value, 0, ends=False, give="a positive time in s")
+    if duration / dt > _SAMPLES:
+        many = f"duration = {duration:g} s at dt = {dt:g} s is {duration / dt:.2g} samples"
+        raise ValueError(f"{many}, more than {_SAMPLES:.0e}; give a shorter duration, or a longer dt.")
     intervals = round(duration / dt)
     if intervals < 1 or abs(intervals * dt - duration) > 1e-9 * duration:
         raise ValueError(f"duration = {duration} s is not a whole number of samples of dt = {dt} s; change either.")

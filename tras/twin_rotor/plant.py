@@ -74,6 +74,11 @@ class PlantParameters:
 
     # No field: it belongs to the class, `PrintedPlant` has another.
     velocity_term: ClassVar[str] = "corrected"
+    # What a controller or a recording needs to know of a plant, beside its equations.
+    state_names: ClassVar[tuple[str, ...]] = STATE_NAMES
+    state_units: ClassVar[tuple[str, ...]] = STATE_UNITS
+    input_names: ClassVar[tuple[str, ...]] = TORQUE_NAMES
+    input_units: ClassVar[tuple[str, ...]] = TORQUE_UNITS
 
     def __post_init__(self):
         for name in LUMPED:
@@ -86,6 +91,11 @@ class PlantParameters:
                 raise ValueError(f"{name} is {value}; an inertia must be positive.")
         for name in ("u_phi_limits", "u_psi_limits"):
             object.__setattr__(self, name, torque_limits(name, getattr(self, name)))
+
+    @property
+    def input_limits(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Lowest and highest torque in N m about pitch and yaw."""
+        return self.u_phi_limits, self.u_psi_limits
 
     @classmethod
     def from_masses(

@@ -33,7 +33,7 @@ def number(name: str, value, low=-math.inf, high=math.inf, *, ends=True, give=""
     """
     sound = isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
     if not (sound and (low <= value <= high if ends else low < value < high)):
-        raise error(f"{name} is {value!r}; give {give or 'a ' + _range('number', low, high, ends)}.")
+        raise error(f"{name} is {short(repr(value), 60)}; give {give or 'a ' + _range('number', low, high, ends)}.")
 
 
 def whole_number(name: str, value, low=1, high=math.inf, *, give="", error=ValueError) -> None:
@@ -45,7 +45,9 @@ def whole_number(name: str, value, low=1, high=math.inf, *, give="", error=Value
     ValueError: draws is True; give a whole number, 2 or more.
     """
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not low <= value <= high:
-        raise error(f"{name} is {value!r}; give {give or 'a ' + _range('whole number', low, high, True)}.")
+        raise error(
+            f"{name} is {short(repr(value), 60)}; give {give or 'a ' + _range('whole number', low, high, True)}."
+        )
 
 
 def seed(name: str, value, purpose: str) -> None:
@@ -101,6 +103,18 @@ def short(text: str, most: int = 40) -> str:
     """
     line = one_line(text)
     return line if len(line) <= most else f"{line[: most - 1]}…"
+
+
+def percent(value) -> str:
+    """A number of percent with two digits, large ones as whole numbers.
+
+    >>> percent(0.0666), percent(131.4), percent("inf")
+    ('0.067 %', '131 %', 'lost')
+    """
+    value = float(value)
+    if not math.isfinite(value):
+        return "lost"
+    return f"{value:.0f} %" if abs(value) >= 99.5 else f"{value:.2g} %"
 
 
 def in_code(text) -> str:

@@ -41,6 +41,18 @@ def replacing(path: str | Path):
         temporary.unlink(missing_ok=True)
 
 
+def require_writable(folder: str | Path) -> None:
+    """Make the folder if it is missing; an OSError unless files can be made in it, before anything is computed."""
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        reason = f"{folder} cannot be written ({error.strerror or error})"
+        raise OSError(error.errno, f"{reason}; give it back to you, or name another folder") from None
+
+
 def markdown_table(rows) -> str:
     """Rows of text, the heading first, as a table in Markdown.
 

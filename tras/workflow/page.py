@@ -23,7 +23,9 @@ STYLE = """\
 :root { color: #1a1a1a; background: #fff; font: 1.05rem/1.6 Georgia, "DejaVu Serif", serif; }
 * { box-sizing: border-box; }
 body { max-width: 64rem; margin: 0 auto; padding: 1rem 1rem 4rem; overflow-wrap: break-word; }
-main > *, main > article { max-width: 44rem; } main > .scroll { max-width: 100%; }
+main > *, main > article { max-width: 44rem; margin-left: auto; margin-right: auto; }
+main > .scroll { width: fit-content; min-width: min(44rem, 100%); max-width: 100%; }
+main > figure { width: fit-content; }
 h1, h2, h3, nav, table, .verdict { font-family: system-ui, "DejaVu Sans", sans-serif; }
 h1, h2, h3 { line-height: 1.25; }
 h1 { font-size: 1.9rem; }
@@ -36,12 +38,12 @@ nav { border: 1px solid #ccc; padding: .5rem 1.2rem 1rem; font-size: .95rem; }
 nav h2 { margin: .5rem 0; border: 0; font-size: 1.05rem; } nav > ul { columns: 18rem 2; }
 nav > ul > li { break-inside: avoid; }
 nav ul { margin: .3rem 0; padding-left: 1.2rem; }
-figure { margin: 1.8rem 0; } figure img { display: block; width: 100%; max-width: 36rem; height: auto; }
+figure { margin: 1.8rem auto; } figure img { display: block; width: 100%; max-width: 36rem; height: auto; }
 figcaption, caption { font: .92rem/1.45 Georgia, "DejaVu Serif", serif; text-align: left; color: #333; }
 figcaption { max-width: 36rem; margin-top: .6rem; } caption { padding-bottom: .5rem; }
 caption > span { display: block; position: sticky; left: 0; max-width: min(42rem, calc(100vw - 2.2rem)); }
-.scroll { overflow-x: auto; margin: 1.5rem 0; }
-.equation { display: flex; align-items: center; gap: 1rem; overflow-x: auto; margin: 1rem 0; padding: .2rem 0; }
+.scroll { overflow-x: auto; margin: 1.5rem auto; }
+.equation { display: flex; align-items: center; gap: 1rem; overflow-x: auto; margin: 1rem auto; padding: .2rem 0; }
 .equation math { flex: 1 0 auto; }
 math { font-family: "Latin Modern Math", "STIX Two Math", "Cambria Math", "Libertinus Math", "DejaVu Math TeX Gyre",
 math; font-size: 1.08em; }
@@ -55,7 +57,7 @@ border: 2px solid; background: #fff; }
 .reproduced { color: #0a5c36; } .named { color: #6b4a00; border-style: dashed; }
 .not { color: #8c1515; border-style: double; border-width: 4px; }
 .uncheckable { color: #444; border-style: dotted; }
-article { border-left: 3px solid #bbb; padding: .1rem 0 .1rem 1rem; margin: 1.6rem 0; }
+article { border-left: 3px solid #bbb; padding: .1rem 0 .1rem 1rem; margin: 1.6rem auto; }
 article p { margin: .35rem 0; }
 @media print {
   * { box-sizing: border-box; }

@@ -90,7 +90,7 @@ def read_params(path: str | Path, notebook: str | Path) -> dict:
     for name, section in content.items():
         if name not in notebooks:
             problem = f"{notebook.parent} has no such notebook{did_you_mean(name, notebooks)}"
-            raise ParameterError(f"{path} has a section `{name}`, but {problem}")
+            raise ParameterError(f"{path} has a section `{short(name)}`, but {problem}")
         if section is not None and not isinstance(section, dict):
             remedy = "write one `parameter: value` per line, indented"
             raise ParameterError(f"section `{name}` of {path} is a {_kind(section)}: {remedy}.")
@@ -116,12 +116,20 @@ def parse_settings(settings: list[str]) -> dict:
 def check_parameters(values: dict, defaults: dict, where: str) -> dict:
     """The values (name -> value) with the types of the defaults: a whole number in place of a float is a float.
 
-    A name or a type that the defaults do not have is a ParameterError, which says ``where`` the values come from.
+    A name or a type that the defaults do not have, or a negative seed, is a ParameterError, which says ``where`` the
+    values come from.
     """
     for name in values:
         if name not in defaults:
-            raise ParameterError(f"{where}: there is no parameter `{name}`{did_you_mean(name, defaults)}")
-    return {name: _check(value, defaults[name], f"{where}: parameter `{name}`") for name, value in values.items()}
+            raise ParameterError(f"{where}: there is no parameter `{short(name)}`{did_you_mean(name, defaults)}")
+    checked = {name: _check(value, defaults[name], f"{where}: parameter `{name}`") for name, value in values.items()}
+    for name, value in checked.items():
+        if "seed" in name:
+            for seed in value if isinstance(value, list) else [value]:
+                if isinstance(seed, int) and seed < 0:
+                    found = f"`{name}` is {short(repr(value), 60)}: a seed must be 0 or more"
+                    raise ParameterError(f"{where}: parameter {found}; correct the value.")
+    return checked
 
 
 def _check(value, default, name):
@@ -159,7 +167,7 @@ def _kind(value):
 def _remedy(value, default):
     problem = f"found {short(repr(value), 60)} ({_kind(value)})"
     if isinstance(value, str) and type(default) in (int, float) and _as_yaml_number(value):
-        return f"{problem}: YAML takes {short(value)} for text, write {_as_yaml_number(value)} without quotes."
+        return f"{problem}: YAML takes {short(value)} for text, write {short(_as_yaml_number(value))} without quotes."
     if isinstance(default, str):
         return f"{problem}: put it in quotes."
     if isinstance(default, bool):

@@ -87,7 +87,11 @@ def git_state(folder: Path, outputs=()) -> dict:
 
 
 def _git(folder, *command):
-    return subprocess.run(["git", *command], cwd=folder, capture_output=True, text=True, check=True).stdout
+    # Whoever starts a build from a hook of git has these set, to another folder.
+    elsewhere = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE")
+    outside = {name: value for name, value in os.environ.items() if name not in elsewhere}
+    done = subprocess.run(["git", *command], cwd=folder, env=outside, capture_output=True, text=True, check=True)
+    return done.stdout
 
 
 def versions() -> dict[str, str]:

@@ -15,17 +15,16 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
-from tras.workflow import provenance
-from tras.workflow.arguments import DISTRIBUTION, extra
-from tras.workflow.files import replacing
+from tras.workflow import environment, provenance
+from tras.workflow.arguments import extra
+from tras.workflow.files import project_root, replacing, require_writable
 from tras.workflow.parameters import ParameterError, check_parameters, notebook_defaults, parse_settings, read_params
 
-KERNEL = "python3"
-# The same bits whoever starts the run: sums depend on the number of BLAS threads. A value that is set outside counts.
-PINNED = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
+KERNEL = "python3"  # the name that executed notebooks carry
 
 
 class RunError(RuntimeError):
@@ -69,11 +68,12 @@ def run_notebook(
     notebook, executed, outputs = Path(notebook), Path(executed), [Path(output) for output in outputs]
     running, failed, record = (executed.with_suffix(end) for end in (".running.ipynb", ".failed.ipynb", ".json"))
     sidecars = [provenance.beside(output) for output in outputs]
-    for folder in {path.parent for path in (executed, *outputs)}:
-        folder.mkdir(parents=True, exist_ok=True)
+    for folder in dict.fromkeys(path.parent for path in (executed, *outputs, *sidecars)):
+        require_writable(folder)
     for leftover in (executed, record, running, failed, *sidecars, *_temporaries([record, *outputs, *sidecars])):
         leftover.unlink(missing_ok=True)
     start, started = time.time(), datetime.datetime.now(datetime.UTC)
+    _require_this_package(notebook)
     try:
         _execute(notebook, running, parameters or {}, cwd or notebook.resolve().parent)
         _check_outputs(outputs, start, notebook)
@@ -95,56 +95,76 @@ def run_notebook(
         raise
 
 
+def _require_this_package(notebook):
+    """A notebook of one checkout is not run with the package of another one."""
+    try:
+        root = project_root(notebook.parent)
+    except FileNotFoundError:
+        return
+    if (root / "tras").resolve() != environment.PACKAGE.resolve():
+        problem = f"the notebook is of the checkout {root}, but this is the tras of {environment.PACKAGE.parent}"
+        raise RunError(f"{notebook.stem}: {problem}: run it with {root}/.venv/bin/python, in {root}.")
+
+
 def _execute(notebook, running, parameters, cwd):
     """Papermill, with its failures as one RunError."""
-    for name, value in PINNED.items():
-        os.environ.setdefault(name, value)
+    os.environ.update({name: value for name, value in environment.PINNED.items() if name not in os.environ})
     sys.modules.setdefault("rfc3987_syntax", None)  # optional, not needed, 1.1 s of imports
     with extra("notebooks", "running a notebook"):
         import papermill
+        from ipykernel.kernelspec import get_kernel_dict
         from jupyter_client import AsyncKernelManager
-        from jupyter_client.kernelspec import NoSuchKernel
+        from jupyter_client.kernelspec import KernelSpec
         from nbclient.exceptions import CellTimeoutError, DeadKernelError
 
     guards = []
+    # IPython would put the folder that it runs in, which may hold a numpy.py, before the installed packages.
+    spec = KernelSpec(**get_kernel_dict(["--InteractiveShellApp.ignore_cwd=True"]))
+    with tempfile.TemporaryDirectory(prefix="tras-kernel-", ignore_cleanup_errors=True) as folder:
+        surroundings = environment.of_a_kernel(folder)
+        if other := environment.other_package(surroundings, cwd):
+            problem = f"a kernel would import tras from {other}, not from {environment.PACKAGE}"
+            raise RunError(f"{notebook.stem}: {problem}: remove that one from this Python, or use another Python.")
 
-    class Manager(AsyncKernelManager):
-        transport_encryption = "auto"  # else ipykernel 7.3 and later warn at every start
-        shutdown_wait_time = 1.0  # s, instead of 3.4; one kernel in fifteen never answers the farewell
+        class Manager(AsyncKernelManager):
+            kernel_spec = spec  # this interpreter's, whatever kernels there are besides
+            transport_encryption = "auto"  # else ipykernel 7.3 and later warn at every start
+            shutdown_wait_time = 1.0  # s, instead of 3.4; one kernel in fifteen never answers the farewell
 
-        async def _async_post_start_kernel(self, **options):
-            await super()._async_post_start_kernel(**options)
-            guards.append(_guard(self.provisioner.pgid))
+            async def _async_pre_start_kernel(self, **options):
+                self.connection_file = os.path.join(folder, "kernel.json")
+                return await super()._async_pre_start_kernel(**options | {"env": surroundings})
 
-        async def _async_interrupt_kernel(self):
-            """No interrupt as part of the farewell: the kernel, idle or about to be killed, would only log an error."""
-            if not self.shutting_down:
-                await super()._async_interrupt_kernel()
+            async def _async_post_start_kernel(self, **options):
+                await super()._async_post_start_kernel(**options)
+                guards.append(_guard(self.provisioner.pgid))
 
-        async def shutdown_kernel(self, now=False, restart=False):
-            """Kill the kernel after an interrupt: asked politely in the middle of a cell, it would print tracebacks."""
-            await super().shutdown_kernel(now=now or Interrupted.received, restart=restart)
+            async def _async_interrupt_kernel(self):
+                """No interrupt as part of the farewell: the idle or dying kernel would only log an error."""
+                if not self.shutting_down:
+                    await super()._async_interrupt_kernel()
 
-    try:
-        how = {"kernel_name": KERNEL, "kernel_manager_class": Manager, "progress_bar": sys.stderr.isatty()}
-        papermill.execute_notebook(notebook, running, parameters, cwd=cwd, **how)
-        for guard in guards:
-            guard.stdin.write(b"done\n")
-    except papermill.PapermillExecutionError as error:
-        cell = "\n".join(f"    {line}" for line in error.source.splitlines())
-        problem = f"{notebook.stem} failed in cell [{error.exec_count}]: {error.ename}: {error.evalue}"
-        failure = RunError(f"{problem}\nThe cell:\n{cell}")
-        failure.name, failure.words = error.ename, error.evalue
-        raise failure from None
-    except (DeadKernelError, CellTimeoutError) as error:
-        problem = f"the kernel ended in the middle of a cell ({error}); was the memory enough?"
-        raise RunError(f"{notebook.stem}: {problem}") from None
-    except NoSuchKernel:
-        remedy = f"run `make setup` and use .venv, or pip install '{DISTRIBUTION}[notebooks]'"
-        raise RunError(f"{notebook.stem}: this Python has no kernel `{KERNEL}`: {remedy}.") from None
-    finally:
-        for guard in guards:
-            guard.communicate()
+            async def shutdown_kernel(self, now=False, restart=False):
+                """Kill the kernel after an interrupt: asked politely in a cell, it would print tracebacks."""
+                await super().shutdown_kernel(now=now or Interrupted.received, restart=restart)
+
+        try:
+            how = {"kernel_name": KERNEL, "kernel_manager_class": Manager, "progress_bar": sys.stderr.isatty()}
+            papermill.execute_notebook(notebook, running, parameters, cwd=cwd, **how)
+            for guard in guards:
+                guard.stdin.write(b"done\n")
+        except papermill.PapermillExecutionError as error:
+            cell = "\n".join(f"    {line}" for line in error.source.splitlines())
+            problem = f"{notebook.stem} failed in cell [{error.exec_count}]: {error.ename}: {error.evalue}"
+            failure = RunError(f"{problem}\nThe cell:\n{cell}")
+            failure.name, failure.words = error.ename, error.evalue
+            raise failure from None
+        except (DeadKernelError, CellTimeoutError) as error:
+            problem = f"the kernel ended in the middle of a cell ({error}); was the memory enough?"
+            raise RunError(f"{notebook.stem}: {problem}") from None
+        finally:
+            for guard in guards:
+                guard.communicate()
 
 
 def _guard(group):
@@ -222,7 +242,7 @@ def main(arguments: list[str] | None = None) -> int:
     except RunError as error:
         problem, code = error, 1
     except OSError as error:
-        reason = f"{error.filename}: {error.strerror}" if error.filename else error
+        reason = f"{error.filename}: {error.strerror}" if error.filename else error.strerror or error
         problem, code = f"{name}: {reason}; {nothing}", 1
     except Interrupted as interrupt:
         problem, code = f"{name} was interrupted; {nothing}", 128 + interrupt.args[0]
