@@ -42,6 +42,7 @@ def accuracy_figure(table: pd.DataFrame) -> Figure:
                     panel.plot(point["N"], point["nrmse"], marker, color=look["color"], markerfacecolor=fill)
             panel.set_title(f"{angle}, {rig}")
             panel.grid(axis="y")
+            panel.margins(x=0.08)
     for panel in axes[-1]:
         panel.set_xticks([10, 30, 100, 300], ["10", "30", "100", "300"], minor=False)
         panel.set_xticks([], minor=True)
@@ -69,7 +70,7 @@ def effects_figure(table: pd.DataFrame) -> Figure:
     """
     require(table, "table", ["condition", "model", "angle", "nrmse", "diverged"])
     conditions = list(dict.fromkeys(table["condition"]))
-    figure, axes = new_figure(0.9 + 0.2 * len(conditions), 1, 2, sharey=True)
+    figure, axes = new_figure(0.9 + 0.2 * len(conditions), 1, 2, sharey=True)  # both panels have one axis of errors
     for panel, angle in zip(axes, ("yaw", "pitch")):
         part = table[table["angle"] == angle]
         for model, (marker, colour) in MODELS.items():
@@ -80,6 +81,7 @@ def effects_figure(table: pd.DataFrame) -> Figure:
         panel.set_xscale("log")
         panel.xaxis.set_major_formatter("{x:g}")
         panel.grid(axis="both")
+        panel.margins(x=0.08)
         panel.set_title(angle)
     axes[0].set_yticks(range(len(conditions)), conditions)
     axes[0].invert_yaxis()
