@@ -63,7 +63,7 @@ ROBUSTNESS_DRAWN := robustness_noise robustness_length eigenfunctions parameters
 # The paper's own part is what `make paper` builds; the studies beyond it belong to `make all`. A study needs one name in STUDIES, one
 # list of outputs in STUDY_OUTPUTS and one line `$(eval $(call stage,...))` at the end.
 PAPER_STAGES := 01_data_generation 02_identification 03_validation 04_figures
-STUDIES := 05_robustness 06_readings 07_comparison 08_claims 09_pictures 11_control
+STUDIES := 05_robustness 06_readings 07_comparison 08_claims 09_pictures 10_larger_models 11_control
 STAGES := $(PAPER_STAGES) $(STUDIES)
 OUT_01 := $(addprefix $(DATA)/,train.nc validation_multisine.nc validation_steps.nc validation_chirp.nc)
 OUT_02 := $(addprefix $(DATA)/,held_out.nc identification.csv spectrum.csv $(MODELS:%=models/%.npz))
@@ -75,10 +75,12 @@ OUT_07 := $(addprefix $(DATA)/,comparison.csv comparison_tuning.csv comparison_d
   $(foreach kind,pdf svg png csv,$(addprefix $(FIGURES)/,comparison_window.$(kind) comparison_horizon.$(kind) comparison_data.$(kind)))
 OUT_08 := $(DATA)/claims.csv
 OUT_09 := $(addprefix $(FIGURES)/,animation.gif animation.csv $(foreach kind,pdf svg png csv,portrait.$(kind)))
+OUT_10 := $(addprefix $(DATA)/,larger.csv larger_gusts.csv future_work.csv) \
+  $(foreach kind,pdf svg png csv,$(addprefix $(FIGURES)/,larger_accuracy.$(kind) larger_effects.$(kind) larger_gusts.$(kind)))
 OUT_11 := $(DATA)/control.csv $(DATA)/control_motors.csv $(addprefix $(FIGURES)/,control_film.gif control_film.csv $(foreach kind,pdf svg png csv,control_tracking.$(kind) control_disturbance.$(kind)))
 
 PAPER_OUTPUTS := $(OUT_01) $(OUT_02) $(OUT_03) $(OUT_04)
-STUDY_OUTPUTS := $(OUT_05) $(OUT_06) $(OUT_07) $(OUT_08) $(OUT_09) $(OUT_11)
+STUDY_OUTPUTS := $(OUT_05) $(OUT_06) $(OUT_07) $(OUT_08) $(OUT_09) $(OUT_10) $(OUT_11)
 
 STAMPS := $(STAGES:%=$(BUILD)/%.ipynb)
 KEYS := $(STAGES:%=$(BUILD)/%.key)
@@ -258,4 +260,5 @@ $(eval $(call stage,06_readings,$(OUT_06),))
 $(eval $(call stage,07_comparison,$(OUT_07),01_data_generation))
 $(eval $(call stage,08_claims,$(OUT_08),02_identification 03_validation 05_robustness 06_readings 07_comparison 11_control))
 $(eval $(call stage,09_pictures,$(OUT_09),))
+$(eval $(call stage,10_larger_models,$(OUT_10),))
 $(eval $(call stage,11_control,$(OUT_11),01_data_generation 02_identification))

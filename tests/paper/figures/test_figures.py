@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from tras import plotting
 from tras.explorer.figures import portrait_figure
-from tras.paper.figures import comparison, control, drawings, paper, readings, robustness
+from tras.paper.figures import comparison, control, drawings, larger, paper, readings, robustness
 from tras.twin_rotor import drawing as rig
 
 FIGURES = ROOT / "figures"
@@ -60,6 +60,9 @@ DATA_FIGURES = {
     "eigenfunctions": robustness.eigenfunctions_figure,
     "parameters": robustness.parameters_figure,
     "portrait": portrait_figure,
+    "larger_accuracy": larger.accuracy_figure,
+    "larger_effects": larger.effects_figure,
+    "larger_gusts": larger.gusts_figure,
     "control_tracking": control.tracking_figure,
     "control_disturbance": control.disturbance_figure,
 }
