@@ -155,6 +155,7 @@ def test_scores_of_a_recording_that_is_known(paths):
     counted = errors[50 : -SMALL.horizon, 1]
     assert row["yaw"] == pytest.approx(np.sqrt((counted**2).mean())) and row["pitch"] == 0
     assert row["settling_yaw"] == pytest.approx(0.5) and row["settling_pitch"] == 0
+    assert row["yaw_whole"] == pytest.approx(np.sqrt((errors[: -SMALL.horizon, 1] ** 2).mean()))
     assert row["steady"] == 1.0  # the last second of this short run
     assert row["outside"] == pytest.approx(0.01) and row["saturated"] == pytest.approx(1 / len(reference))
     assert row["diverged"] is False

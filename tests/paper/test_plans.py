@@ -21,7 +21,8 @@ def runs(**changed):
     def row(controller, condition, error, preview=True, reference="fast", **more):
         about = {"controller": controller, "preview": preview, "reference": reference, "condition": condition}
         usual = {"settling_yaw": np.nan, "steady": np.nan, "outside": 0.0, "diverged": False}
-        rows.append({**about, "level": 0.0, "yaw": error, "pitch": error, **usual, **more})
+        errors = dict.fromkeys(("yaw", "pitch", "yaw_whole", "pitch_whole"), error)
+        rows.append({**about, "level": 0.0, **errors, **usual, **more})
 
     for reference, preview in itertools.product(REFERENCES, (True, False)):
         settled = reference == "steps" and not preview

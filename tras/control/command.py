@@ -68,6 +68,8 @@ def write(model: KoopmanModel, settings, name: str, folder: str | Path) -> list[
     made = design(model, settings)
     with written_together(folder) as stage:
         text = yaml.safe_dump(made.settings, sort_keys=False, allow_unicode=True)
+        if yaml.safe_load(text) != made.settings:  # names that no plain text can hold
+            text = yaml.safe_dump(made.settings, sort_keys=False)
         (stage / "settings.yaml").write_text(text, encoding="utf-8")
         files = [
             (PAGE, "this page"),
@@ -78,7 +80,7 @@ def write(model: KoopmanModel, settings, name: str, folder: str | Path) -> list[
         try:
             controller_to_c(made.controller, stage / "controller.c")
             files.append(("controller.c", "the controller in C99 without dependencies (docs/export.md)"))
-            files.append(("controller.h", "its three functions and what their vectors hold"))
+            files.append(("controller.h", "its two functions and what their vectors hold"))
         except ValueError as error:
             failure = f"The controller in C: {error}"
         save_figure(*draw_run(made), stage / "run")

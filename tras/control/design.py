@@ -99,8 +99,8 @@ def design(model: KoopmanModel, settings: Mapping | None = None) -> Design:
             raise ValueError(f"the settings have {name!r} in run, which is none{did_you_mean(name, RUN)}")
     settings = _effective(_controller(model, settings), settings)
     controller = _controller(model, settings)
-    levels, samples, disturbance = _plan(controller, run)
-    settings["run"] = _run_settings(controller, levels, samples, disturbance)
+    settings["run"] = _run_settings(controller, *_plan(controller, run))
+    levels, samples, disturbance = _plan(controller, settings["run"])
     table, at_rest = _simulate(controller, levels, samples, disturbance)
     parts = [(f"step {k + 1}", k * samples, (k + 1) * samples) for k in range(len(levels))]
     if disturbance.any():

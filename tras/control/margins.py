@@ -19,7 +19,7 @@ class Margins(NamedTuple):
     disk : (m,) ndarray
         Disk margin of each input, the others as they are: 0 is on the edge, 2 the best there is.
     disk_of_all : float
-        Of all inputs changed at once, each in its own way.
+        Of all inputs changed at once, each in its own way: at least this, by the largest singular value.
     delay : int
         Samples of further delay, in all inputs, that leave it stable; 50 stands for that or more.
     """

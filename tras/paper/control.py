@@ -37,19 +37,21 @@ CHANGED = ("PID", OURS)  # those on rigs with other parameters
 STEP_TIME, TOLERANCE = 1.0, 0.05  # s; of the step, within which an angle counts as settled
 LAST = 1.0  # s at the end of a run, where its steady error is measured
 RUNAWAY = 3.0  # rad: a larger error counts as divergence
-SCORES = ("pitch", "yaw", "settling_pitch", "settling_yaw", "steady", "outside", "saturated", "failures", "diverged")
+SCORES = (
+    "pitch", "yaw", "pitch_whole", "yaw_whole", "settling_pitch", "settling_yaw", "steady", "outside", "saturated",
+    "failures", "diverged",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Study:
     """What is tried; times in s, angles in rad, torques in N m.
 
-    ``resolution`` is the noise that an observer expects where there is none, in rad and rad/s. ``skip`` are seconds at
-    the start that no error counts, for the rig starts at rest and most references do not. ``slower`` are factors of the
-    weight on the changes of the torques with which the rivals are tried too. ``changed`` are the parameters that are
-    changed one at a time by ``change`` (%) either way; ``rigs`` have all of them drawn within it. Gusts, the constant
-    torque and the noise are in percent: of half the range of each torque, and of each state's range in the training
-    data.
+    ``skip`` are seconds at the start that errors leave out, but for those of whole runs: the rig starts at rest, and
+    most references do not. ``slower`` are factors of the weight on the changes of the torques with which the rivals are
+    tried too. ``changed`` are the parameters that are changed one at a time by ``change`` (%) either way; ``rigs`` have
+    all of them drawn within it. Gusts, the constant torque and the noise are in percent: of half the range of each
+    torque, and of each state's range in the training data.
     """
 
     sampling_time: float = 0.01
@@ -60,7 +62,6 @@ class Study:
     rate_weight: float = 0.03
     slower: tuple[float, ...] = (10.0, 1000.0)
     input_weight: float = 0.3
-    resolution: float = 1e-3
     fast_frequencies: tuple[float, float] = (3.0, 2.0)
     fast_peaks: tuple[float, float] = (0.6, 1.5)
     fast_seed: int = 0
@@ -165,8 +166,8 @@ def controller(study: Study, models: dict, name: str, *, condition: str = "calm"
         common["offset_free"] = False
     else:
         measured = ("phi", "psi") if condition == "noise, angles only" else STATE_NAMES
-        expected = dict(zip(STATE_NAMES, np.full(4, study.resolution) if noise is None else noise))
-        common["observer"] = Observer(model, measured, noise={name: expected[name] for name in measured})
+        expected = noise if noise is None else {name: noise[STATE_NAMES.index(name)] for name in measured}
+        common["observer"] = Observer(model, measured, noise=expected)
     if kind is LQR:
         return LQR(model, input_weights=study.input_weight, **common)
     return MPC(model, horizon=study.horizon, rate_weights=slower * study.rate_weight, **common)
@@ -223,14 +224,15 @@ def score(study: Study, log, reference: np.ndarray, name: str) -> dict:
     errors = (log.states[0][:, [0, 2]] - reference)[: -study.horizon]
     torques, rig = log.select(inputs=["u_phi", "u_psi"]).inputs[0], PlantParameters()
     low, high = np.array([rig.u_phi_limits, rig.u_psi_limits]).T
-    rms = np.sqrt((errors[study.samples(study.skip) - 1 :] ** 2).mean(axis=0))
+    rms, whole = (np.sqrt((errors[k:] ** 2).mean(axis=0)) for k in (study.samples(study.skip) - 1, 0))
     settling, steady = (np.nan, np.nan), np.nan
     if name == "steps":
         first = study.samples(STEP_TIME) - 1
         settling = [_settling(error, size, first) * study.sampling_time for error, size in zip(errors.T, study.step)]
         steady = np.abs(errors[-study.samples(LAST) :]).max()
     return {
-        "pitch": rms[0], "yaw": rms[1], "settling_pitch": settling[0], "settling_yaw": settling[1], "steady": steady,
+        "pitch": rms[0], "yaw": rms[1], "pitch_whole": whole[0], "yaw_whole": whole[1],
+        "settling_pitch": settling[0], "settling_yaw": settling[1], "steady": steady,
         "outside": np.maximum(torques - high, low - torques).max().clip(0), "saturated": saturated(log, rig).max(),
         "diverged": bool(np.abs(errors).max() > RUNAWAY),
     }  # fmt: skip

@@ -17,12 +17,12 @@ BEYOND = 1e-9  # N m, of a torque beyond its limit
 STEADY = 1e-3  # rad, under a constant unknown torque
 BY_ANGLES = 1.5  # times the error with all states measured, with noise
 MULTISINES = ["paper", "fast"]
-_ANGLES = ["yaw", "pitch"]
+_ANGLES, _WHOLE = ["yaw", "pitch"], ["yaw_whole", "pitch_whole"]
 
 
-def ratios(runs: pd.DataFrame) -> pd.DataFrame:
+def ratios(runs: pd.DataFrame, columns: list[str] = _WHOLE) -> pd.DataFrame:
     """Our error over that of the same controller with the true plant, in calm air, by reference and preview."""
-    ours, bound = (_calm(runs, name) for name in (OURS, BOUND))
+    ours, bound = (_calm(runs, name, columns) for name in (OURS, BOUND))
     return ours / bound.reindex(ours.index)
 
 
@@ -60,8 +60,9 @@ def judged(runs: pd.DataFrame) -> pd.DataFrame:
     lost = int(rigs["diverged"].sum())
     rows = [
         (f"at most {AS_THE_PLANT:g} times the error of the same MPC with the true plant, on every reference, with "
-         "preview and without", f"{to_plant:.4g}", to_plant <= AS_THE_PLANT),
-        (f"with preview at least {BELOW_THE_PID:g} times below the PID on both multisines, both angles",
+         "preview and without, over whole runs", f"{to_plant:.4g}", to_plant <= AS_THE_PLANT),
+        (f"with preview at least {BELOW_THE_PID:g} times below the PID on both multisines, both angles, over whole "
+         "runs",
          f"{to_pid:.3g}", to_pid >= BELOW_THE_PID),
         (f"a step of yaw without preview settled in at most {SETTLED:g} s",
          f"{settling:.2f} s (PID {of_pid:.2f} s)", settling <= SETTLED),
@@ -74,10 +75,10 @@ def judged(runs: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["asked", "ours", "met"])
 
 
-def _calm(runs, name):
+def _calm(runs, name, columns=_WHOLE):
     """Errors of a controller, index (reference, preview)."""
     rows = runs[(runs["condition"] == "calm") & (runs["controller"] == name)]
-    return rows.set_index(["reference", "preview"])[_ANGLES]
+    return rows.set_index(["reference", "preview"])[columns]
 
 
 def _extreme(values, which=np.min):
