@@ -241,7 +241,7 @@ def publish(table, signals):
     for name, lines in (("rig", tables(table)), ("bounds", signals)):
         begin, end = f"<!-- {name}: written by `benchmarks/real_rig.py` -->", f"<!-- end of {name} -->"
         before, after = text[: text.index(begin) + len(begin)], text[text.index(end) :]
-        text = f"{before}\n{lines}\n{after}"
+        text = f"{before}\n\n{lines}\n\n{after}"
     PAGE.write_text(text, encoding="utf-8")
 
 
