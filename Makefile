@@ -17,10 +17,11 @@ ifneq ($(words $(CURDIR)),1)
 $(error the folder "$(CURDIR)" has a blank in its path, which make cannot handle: move the checkout)
 endif
 
-# What `make identify` takes. Only what stands on the command line: TEST, FROM and TIME may be in anybody's environment. It is text, such
+# What `make identify` and `make control` take. Only what stands on the command line: TEST, FROM and TIME may be in anybody's environment. It is text, such
 # as the name of a file: `override` keeps make from reading $(...) in it, here, before anything else could; the shell has it by `export`.
 IDENTIFY := OUT ROLES STATES INPUTS TIME TRIAL TEST FROM TO DECIMATE DT RESAMPLE PREDICTOR DELAYS SMOOTHING LEAD EVERY ACTUATORS HORIZON DRAWS
-TYPED := $(foreach name,RECORDING $(IDENTIFY),$(if $(and $(filter command,$(origin $(name))),$(value $(name))),$(name)))
+CONTROL := OUT SETTINGS
+TYPED := $(foreach name,RECORDING MODEL $(sort $(IDENTIFY) $(CONTROL)),$(if $(and $(filter command,$(origin $(name))),$(value $(name))),$(name)))
 $(foreach name,$(TYPED),$(eval override $(name) := $$(value $(name)))$(eval export $(name)))
 
 # The same bits on every run: sums depend on the number of BLAS threads, and on what BLAS and NumPy choose for the processor.
@@ -62,7 +63,7 @@ ROBUSTNESS_DRAWN := robustness_noise robustness_length eigenfunctions parameters
 # The paper's own part is what `make paper` builds; the studies beyond it belong to `make all`. A study needs one name in STUDIES, one
 # list of outputs in STUDY_OUTPUTS and one line `$(eval $(call stage,...))` at the end.
 PAPER_STAGES := 01_data_generation 02_identification 03_validation 04_figures
-STUDIES := 05_robustness 06_readings 07_comparison 08_claims 09_pictures
+STUDIES := 05_robustness 06_readings 07_comparison 08_claims 09_pictures 11_control
 STAGES := $(PAPER_STAGES) $(STUDIES)
 OUT_01 := $(addprefix $(DATA)/,train.nc validation_multisine.nc validation_steps.nc validation_chirp.nc)
 OUT_02 := $(addprefix $(DATA)/,held_out.nc identification.csv spectrum.csv $(MODELS:%=models/%.npz))
@@ -74,9 +75,10 @@ OUT_07 := $(addprefix $(DATA)/,comparison.csv comparison_tuning.csv comparison_d
   $(foreach kind,pdf svg png csv,$(addprefix $(FIGURES)/,comparison_window.$(kind) comparison_horizon.$(kind) comparison_data.$(kind)))
 OUT_08 := $(DATA)/claims.csv
 OUT_09 := $(addprefix $(FIGURES)/,animation.gif animation.csv $(foreach kind,pdf svg png csv,portrait.$(kind)))
+OUT_11 := $(DATA)/control.csv $(addprefix $(FIGURES)/,control_film.gif control_film.csv $(foreach kind,pdf svg png csv,control_tracking.$(kind) control_disturbance.$(kind)))
 
 PAPER_OUTPUTS := $(OUT_01) $(OUT_02) $(OUT_03) $(OUT_04)
-STUDY_OUTPUTS := $(OUT_05) $(OUT_06) $(OUT_07) $(OUT_08) $(OUT_09)
+STUDY_OUTPUTS := $(OUT_05) $(OUT_06) $(OUT_07) $(OUT_08) $(OUT_09) $(OUT_11)
 
 STAMPS := $(STAGES:%=$(BUILD)/%.ipynb)
 KEYS := $(STAGES:%=$(BUILD)/%.key)
@@ -92,7 +94,7 @@ LOCKED := $(shell cat $(LOCKS) 2>/dev/null | { sha256sum || shasum -a 256; } 2>/
 READY := .venv/.ready-$(LOCKED)
 PY := .venv/bin/python
 
-.PHONY: help setup all stages paper figures docs sweep smoke lint check test verify bless lab lock readme clean distclean bench bench-test identify \
+.PHONY: help setup all stages paper figures docs sweep smoke lint check test verify bless lab lock readme clean distclean bench bench-test identify control \
   example FORCE
 
 # A comment `## GROUP | TIME | TEXT` behind a target puts it into the list; times are those of two cores, with the environment there.
@@ -128,7 +130,11 @@ lower = $(shell printf %s "$(1)" | tr A-Z a-z)
 
 identify: $(READY) ## your rig | 15 s | a model of your own system: make identify RECORDING=log.csv (docs/own_rig.md)
 	@$(if $(filter RECORDING,$(TYPED)),,echo "say which recording: make identify RECORDING=log.csv (make example writes one to try)" >&2; exit 2)
-	@$(PY) -m tras.identification.command $(foreach name,$(filter-out RECORDING,$(TYPED)),--$(call lower,$(name))="$$$(name)") -- "$$RECORDING"
+	@$(PY) -m tras.identification.command $(foreach name,$(filter $(IDENTIFY),$(TYPED)),--$(call lower,$(name))="$$$(name)") -- "$$RECORDING"
+
+control: $(READY) ## your rig | 15 s | a controller from that model: make control MODEL=build/identify/log/model.npz (docs/control.md)
+	@$(if $(filter MODEL,$(TYPED)),,echo "say which model: make control MODEL=build/identify/log/model.npz (make identify writes one)" >&2; exit 2)
+	@$(PY) -m tras.control.command $(foreach name,$(filter $(CONTROL),$(TYPED)),--$(call lower,$(name))="$$$(name)") -- "$$MODEL"
 
 example: $(READY) ## your rig |  | recordings of two simulated systems to try it on, in build/example/
 	@$(PY) -m tras.identification.examples duffing build/example/duffing.csv
@@ -250,5 +256,6 @@ $(eval $(call stage,04_figures,$(OUT_04),01_data_generation 02_identification 03
 $(eval $(call stage,05_robustness,$(OUT_05),01_data_generation))
 $(eval $(call stage,06_readings,$(OUT_06),))
 $(eval $(call stage,07_comparison,$(OUT_07),01_data_generation))
-$(eval $(call stage,08_claims,$(OUT_08),02_identification 03_validation 05_robustness 06_readings 07_comparison))
+$(eval $(call stage,08_claims,$(OUT_08),02_identification 03_validation 05_robustness 06_readings 07_comparison 11_control))
 $(eval $(call stage,09_pictures,$(OUT_09),))
+$(eval $(call stage,11_control,$(OUT_11),01_data_generation 02_identification))

@@ -16,15 +16,18 @@ from sphinx.errors import SphinxError
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
-from tras.paper import claims, lookups, tables
+from tras.paper import claims, lookups, plans, tables
 from tras.paper.lookups import Lacking, Sources, number
 from tras.twin_rotor.plant import PlantParameters
 from tras.workflow import page
 
 _LOG = logging.getLogger(__name__)
 _MARKS = (("✓", "reproduced"), ("◐", "named"), ("✗", "not"), ("?", "uncheckable"), ("◑", "named"))
-_SIGNS = dict(zip(claims.VERDICTS, _MARKS))
-_LIMITS = {name: limit for name, limit in vars(claims).items() if name.isupper()}  # `claims.NAME` in a page
+_SIGNS = dict(zip(claims.VERDICTS, _MARKS)) | dict(zip(claims.FUTURE, (_MARKS[0], _MARKS[4], _MARKS[2])))
+_LIMITS = {  # `claims.NAME` in a page
+    module.__name__.rpartition(".")[2]: {name: limit for name, limit in vars(module).items() if name.isupper()}
+    for module in (claims, plans)
+}
 _ANEW = "delete it, and make all makes it anew."
 _FIGURE = re.compile(r"^```\{tras-figure\}\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
@@ -82,7 +85,7 @@ def render(text: str, sources: Sources) -> str:
     parts = []
     for section in re.split(r"^(?=#{1,3} )", text, flags=re.MULTILINE):
         try:
-            parts.append(lookups.render(section, sources, claims=_LIMITS, profile=sources.build.name))
+            parts.append(lookups.render(section, sources, **_LIMITS, profile=sources.build.name))
         except Lacking as lack:
             heading = re.match(r"(#{1,3} [^\n]*\n)?", section)[0]
             parts.append(f"{heading}\n```{{note}}\n{_missing(lack)}\n```\n\n")

@@ -94,6 +94,17 @@ TOO_MANY = [
     (tras.Mechanical(900, shape=[0, 2, 4, 6, 8, 10]), {}, "more than 1e12 functions"),
     (tras.Product(tras.Monomials(4), tras.Monomials(4)), {}, "has 53509225 functions"),
     (tras.Union(tras.Monomials(1), tras.Product(tras.Monomials(3), tras.Fourier(9))), {}, "has [0-9]+ functions"),
+    (tras.Monomials(2), {"field": "least_squares", "max_functions": 500}, "solves for 18 x 190 coefficients at once"),
+    (
+        tras.Monomials(2),
+        {"regularization": "sparse"},
+        "more than max_functions=1000 / 6, the limit .* max_functions=1140",
+    ),
+    (
+        tras.Monomials(2),
+        {"stable": True, "predictor": "lifted_linear", "max_functions": 300},
+        "=300 / 2, the limit with",
+    ),
     (tras.Monomials(2), {"max_functions": 100}, "has 190 functions .*, more than max_functions=100; .* memory"),
 ]
 
@@ -171,6 +182,38 @@ def test_a_report_says_what_it_has_no_number_for():
     assert "nan" not in text and "none, for all ran away or nothing moves" in text
     huge = tras.Recording(1e200 * recording.states, dt=0.1)
     assert "nan" not in model.report(huge)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_single_pair_and_a_field_that_runs_away_warn_of_nothing():
+    """Found by `benchmarks.options`: covariances of one point, and exponentials far away in the choice of the step."""
+    one = tras.Recording([[[0.0], [1.0]]], dt=0.1)
+    with pytest.raises(ValueError, match="snapshot pairs cannot determine|linearly dependent"):
+        tras.KoopmanModel(tras.Monomials(2), "one_step", strength=0.1).fit(one)
+    rng = np.random.default_rng(0)
+    u = rng.uniform(-1, 1, (200, 1))
+    u[50] = 1e30
+    wild = tras.Recording([rng.normal(size=(200, 2)).cumsum(axis=0) * 0.01], [u], 0.1)
+    model = tras.KoopmanModel(
+        tras.Exponentials(2, 20.0), field="least_squares", extrapolation="functions", strength=1e-4
+    )
+    try:
+        model.fit(wild).vector_field([1e3, 1e3], [1e3])
+        model.linearize([5.0, 5.0], [5.0])
+    except ValueError as error:
+        assert str(error).endswith(".")
+
+
+def test_linear_algebra_that_fails_is_a_sentence(monkeypatch):
+    def fail(*arguments):
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr(Fit, "solve", fail)
+    recording = tras.Recording(np.random.default_rng(0).normal(size=(2, 50, 1)), dt=0.1)
+    with pytest.raises(
+        ValueError, match="linear algebra of this fit failed .SVD did not converge.; a smaller dictionary"
+    ):
+        tras.KoopmanModel(tras.Monomials(2), "one_step", strength=0.1).fit(recording)
 
 
 # ---------------------------------------------------------------------------------- searches that end by their count

@@ -27,7 +27,7 @@ MAY_IMPORT = {
     # The C of a controller is written by `export`; the command of `control` writes a controller, its page and its C.
     "export": f"{METHOD} control {LEAVES}",
     "control": f"{METHOD} twin_rotor export workflow",
-    "identification": f"{METHOD} twin_rotor.excitation export workflow",
+    "identification": f"{METHOD} twin_rotor.excitation export control.command workflow",
     "sweeps": f"{METHOD} twin_rotor identification.search workflow",
     "paper": BELOW_PAPER,
     "explorer": f"{BELOW_PAPER} paper",

@@ -24,6 +24,8 @@ from tras.solver.threads import processors
 from tras.workflow.arguments import short
 
 _MATRICES = 40  # of N by N numbers: the solver's, and those of a logarithm
+_SPARSE, _STABLE = 6, 2  # so many times fewer functions are allowed with these searches, which take longer
+_AT_ONCE = 4  # times `max_functions`: coefficients of a field by least squares
 WINDOW = 501  # samples of a roll-out, at most
 
 
@@ -176,22 +178,35 @@ def _require_few(options, predictor, recording):
     delayed = recording.n + recording.m * predictor.delays_inputs
     states = recording.n + options.delays * delayed
     if states + inputs < options.max_functions:  # each channel is a function
-        _require_at_most(options, options.dictionary.count_of(states, inputs))
+        functions = options.dictionary.count_of(states, inputs)
+        _require_at_most(options, functions)
+        if options.field == "least_squares" and options.predictor == "vector_field":
+            most = _AT_ONCE * options.max_functions
+            if states * functions > most:
+                raise ValueError(
+                    f"field is 'least_squares', which solves for {states} x {functions} coefficients at once, more "
+                    f"than {_AT_ONCE} times max_functions={options.max_functions}; use field='coordinates', or a "
+                    "smaller dictionary."
+                )
     else:
         _require_at_most(options, 1 + states + inputs)
 
 
 def _require_at_most(options, functions):
-    if functions > options.max_functions:
+    # A sparse K is a search per column, with a problem of least squares per round; a stable one is a search, too.
+    share = _SPARSE if options.regularization == "sparse" else _STABLE if options.stable else 1
+    if functions * share > options.max_functions:
         gigabytes = memory_needed(functions) / 1e9
         need = f"about {gigabytes:.2g} GB of memory" if gigabytes < 1e4 else "more memory than there is"
         fewer = f", fewer than {options.delays} delays" if options.delays else ""
         number = f"{functions}" if functions < 1e12 else "more than 1e12"
-        allow = f", or allow it: KoopmanModel(..., max_functions={functions})" if functions < 1e5 else ""
+        allow = f", or allow it: KoopmanModel(..., max_functions={functions * share})" if functions < 1e5 else ""
+        what = "regularization='sparse'" if options.regularization == "sparse" else f"stable={options.stable!r}"
+        shared = f" / {share}, the limit with {what}" if share > 1 else ""
         raise ValueError(
             f"dictionary {short(label(options.dictionary), 80)} has {number} functions of these channels, more than "
-            f"max_functions={options.max_functions}; the fit would need {need}. Take a lower degree or order{fewer}, "
-            f"GaussianRBF(200, width='auto', centres='kmeans'){allow}."
+            f"max_functions={options.max_functions}{shared}; the fit would need {need}. Take a lower degree or "
+            f"order{fewer}, GaussianRBF(200, width='auto', centres='kmeans'){allow}."
         )
 
 

@@ -30,7 +30,8 @@ class Hull:
     def __init__(self, z, confined=None):
         channels = len(z)
         self.centre = z.mean(axis=1, keepdims=True)
-        self.axes = np.linalg.eigh(np.atleast_2d(np.cov(z)))[1] if confined is None else np.eye(channels)
+        turned = confined is None and z.shape[1] > 1  # a single point has no axes of its own
+        self.axes = np.linalg.eigh(np.atleast_2d(np.cov(z)))[1] if turned else np.eye(channels)
         self.free = self.unconfined(channels, confined)
         self.low, self.high = np.full((channels, 1), np.inf), np.full((channels, 1), -np.inf)
         self.widen(z)

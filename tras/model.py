@@ -92,7 +92,8 @@ class KoopmanModel(Estimator):
 
     max_functions : int
         More functions are refused before anything is lifted: time grows with their cube, memory with their square, and
-        a degree, delays and many channels multiply. A thousand take up to a minute and 0.6 GB.
+        a degree, delays and many channels multiply. A thousand take up to a minute and 0.6 GB. With ``stable`` half as
+        many are allowed, with ``"sparse"`` a sixth, whose searches take longer.
 
     Attributes
     ----------
@@ -210,11 +211,14 @@ class KoopmanModel(Estimator):
         model, rows = dict(vars(self)), copy.copy(getattr(self, "_fit", None))
         try:
             yield
-        except BaseException:
+        except BaseException as error:
             vars(self).clear()
             vars(self).update(model)
             if rows is not None:
                 vars(self._fit).update(vars(rows))
+            if isinstance(error, np.linalg.LinAlgError):
+                remedy = "a smaller dictionary, a larger strength of regularization or more data may do"
+                raise ValueError(f"the linear algebra of this fit failed ({error}); {remedy}.") from error
             raise
 
     def _conclude(self, fit, scaled, held, threads=None):
@@ -263,7 +267,8 @@ class KoopmanModel(Estimator):
             count = unsettled(least_squares.R, least_squares.rotated, strength, D)
             how = f"ended after {ROUNDS} rounds, with terms below the threshold in {count} of {D.shape[1]} columns of K"
             self.unsettled_ += [f"sequential thresholding {how}"] * bool(count)
-        self._predictor.settle(self, D, least_squares, scaled)
+        with np.errstate(over="ignore", invalid="ignore"):  # a field that runs away is refused, or is NaN
+            self._predictor.settle(self, D, least_squares, scaled)
 
     @property
     def _predictor(self):
@@ -294,7 +299,8 @@ class KoopmanModel(Estimator):
             raise ValueError(f"predictor is {self.predictor!r}, which has no vector field; fit with 'vector_field'.")
         x, u = self.channels_.points(x, u)
         z = np.concatenate([x, u], axis=-1).reshape(-1, x.shape[-1] + u.shape[-1])
-        return self.map()(z.T).T.reshape(x.shape) * self.channels_.z_scale
+        with np.errstate(over="ignore", invalid="ignore"):  # far away it may be infinite
+            return self.map()(z.T).T.reshape(x.shape) * self.channels_.z_scale
 
     def map(self) -> Map:
         """The rates, or with ``one_step`` the next states, in scaled channels: a `tras.predictors.Map`."""
@@ -342,7 +348,8 @@ class KoopmanModel(Estimator):
         >>> system.A.shape, system.B.shape, system.C.shape, system.dt
         ((1, 1), (1, 1), (1, 1), 0.1)
         """
-        return linearization.linearize(self, x, u)
+        with np.errstate(over="ignore", invalid="ignore"):  # what runs away is refused
+            return linearization.linearize(self, x, u)
 
     def report(self, recording: Recording | None = None) -> str:
         """The fit in a few lines of text; also how well it predicts a recording, best one that was not fitted."""

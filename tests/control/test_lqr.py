@@ -44,8 +44,7 @@ def test_the_target_of_a_nonlinear_plant_is_its_rest_point(parameters, true_plan
 
 
 def test_it_has_no_steady_error_under_an_unknown_torque(parameters, true_plant):
-    observer = tras.Observer(true_plant, disturbed=["u_phi", "u_psi"])
-    controller = tras.LQR(true_plant, weights=WEIGHTS, input_weights=0.1, observer=observer)
+    controller = tras.LQR(true_plant, weights=WEIGHTS, input_weights=0.1)
     run = tras.simulate_closed_loop(np.tile([0.3, 0.8], (1001, 1)), 0.01, parameters, controllers=controller,
                                     disturbances=[0.02, 0.014])  # fmt: skip
     assert np.abs(run.states[0][-50:, [0, 2]] - [0.3, 0.8]).max() < 1e-3

@@ -102,7 +102,7 @@ def test_delayed_samples_are_estimated_too(torques):
     angles = torques.select(states=["phi", "psi"])
     model = tras.KoopmanModel(tras.Monomials(1), "one_step", 3, regularization="truncated", strength=1e-9).fit(angles)
     noise = np.array([0.02, 0.05])
-    observer = tras.Observer(model, noise=noise, process=1e-3, disturbed=["u_phi", "u_psi"])
+    observer = tras.Observer(model, noise=noise, process=1e-3)
     x, u = angles.states[3], angles.inputs[3]
     measured = x + np.random.default_rng(0).normal(size=x.shape) * noise
     estimates = np.array([observer.update(measured[k], None if k == 0 else u[k - 1]) for k in range(len(x))])
@@ -116,7 +116,7 @@ def test_it_begins_anew_after_a_reset(true_plant):
     first = observer.update([0.1, 0, 0.2, 0], None)
     observer.update([0.2, 0, 0.3, 0], [0.1, 0.1])
     observer.reset()
-    assert np.array_equal(observer.disturbance, [0, 0, 0, 0])
+    assert np.array_equal(observer.disturbance, [0, 0])
     assert np.array_equal(observer.update([0.1, 0, 0.2, 0], [0.1, 0.1]), first)
 
 
@@ -130,7 +130,7 @@ def test_it_begins_anew_after_a_reset(true_plant):
         ({"noise": -1}, "noise is -1; give a finite number, 0 or more"),
         ({"measured": ["q"], "noise": {"v": 0.1}}, "noise names 'v'"),
         ({"process": [1, 2]}, r"process has shape \(2,\); give 1 numbers: f"),
-        ({"drift": {"q": np.inf}}, r"drift\['q'\] is inf"),
+        ({"drift": {"f": np.inf}}, r"drift\['f'\] is inf"),
     ],
 )
 def test_mistakes_are_named(options, words):

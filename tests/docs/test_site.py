@@ -85,6 +85,9 @@ def study_tables(root, rng):
     write(figures / "comparison_window.csv", "method input angle horizon nrmse", rows)
     rows = [("true", "pitch", 0), ("Gaussian RBF", "pitch", 0.25), ("Gaussian RBF", "pitch", 0.75)]
     write(figures / "portrait.csv", "model plane error", rows)
+    controllers = ("PID", "MPC, linear", "MPC, the paper's", "MPC, mechanical", "MPC, true plant")
+    rows = [(name, name != "PID", "fast", "calm", 0.01 * i, 0.02) for i, name in enumerate(controllers)]
+    write(data / "control.csv", "controller preview reference condition yaw pitch", rows)
 
 
 def claim_rows():
@@ -121,8 +124,9 @@ def whole(tmp_path_factory):
     write(root / "data" / "claims.csv", " ".join(claims.COLUMNS), claim_rows())
     for name in DRAWN:
         (root / "figures" / f"{name}.svg").write_text(SVG)
-    (root / "figures" / "animation.svg").unlink()
-    Image.new("RGB", (4, 3)).save(root / "figures" / "animation.gif")
+    for name in ("animation", "control_film"):
+        (root / "figures" / f"{name}.svg").unlink()
+        Image.new("RGB", (4, 3)).save(root / "figures" / f"{name}.gif")
     signals = {"pitch_max_frequency": 0.2, "pitch_peak": 1.22173, "yaw_max_frequency": 0.8, "yaw_peak": 3.14159}
     for path in sorted((ROOT / "notebooks").glob("[0-9]*.ipynb")):
         stage(root, path.stem, **({"duration": 500.0, "sampling_time": 0.01, **signals} if "01" in path.stem else {}))

@@ -38,7 +38,7 @@ PREVIEW = [
 ]
 REGULATORS = [
     ("vector_field", 0, {}), ("one_step", 0, {"offset_free": False, "limits": TIGHT}), ("lifted_linear", 0, {}),
-    ("one_step", 2, {}), ("vector_field", 0, {"weights": {"phi": 1.0}}),
+    ("one_step", 1, {}), ("vector_field", 2, {"offset_free": False}), ("vector_field", 0, {"weights": {"phi": 1.0}}),
 ]  # fmt: skip
 
 
@@ -96,6 +96,7 @@ def follow(controller, step, references, samples, parameters, *, measured=None, 
 
 
 @needs_cc
+@pytest.mark.slow
 @pytest.mark.parametrize("case", PREVIEW, ids=str)
 def test_c_computes_the_inputs_of_the_mpc(case, fitted, parameters, tmp_path):
     """Within 1e-9 of a half-range over 300 samples: first with a preview of a fast reference, then a step without."""
@@ -115,6 +116,7 @@ def test_c_computes_the_inputs_of_the_mpc(case, fitted, parameters, tmp_path):
 
 
 @needs_cc
+@pytest.mark.slow
 @pytest.mark.parametrize("case", REGULATORS, ids=str)
 def test_c_computes_the_inputs_of_the_lqr(case, fitted, parameters, tmp_path):
     predictor, delays, options = case

@@ -17,6 +17,7 @@ from conftest import HOSTILE, ROOT
 import tras
 from tras.identification import command
 from tras.workflow.parameters import ParameterError
+from tras.workflow.results import LISTING
 
 PAGE = (ROOT / "docs" / "own_rig.md").read_text()
 NAME = "{http://www.w3.org/1999/xhtml}"
@@ -229,10 +230,8 @@ def command_variables():
 def test_every_variable_of_make_is_an_option(alone):
     words = arguments_of(alone, "RECORDING=a.csv", *(f"{name}=1" for name in command_variables()))
     options = {option for action in command._parser("")._actions for option in action.option_strings}
-    assert [word.removesuffix("=1") for word in words] == [f"--{n.lower()}" for n in command_variables()] + [
-        "--",
-        "a.csv",
-    ]
+    assert words[-2:] == ["--", "a.csv"]
+    assert sorted(words[:-2]) == sorted(f"--{name.lower()}=1" for name in command_variables())
     assert {word.removesuffix("=1") for word in words[:-2]} == options - {"-h", "--help"}
 
 
@@ -264,11 +263,11 @@ def started(monkeypatch):
     return folders
 
 
-def results(folder, recording, *, finished=True):
+def leave_results(folder, recording, *, finished=True):
     """A folder as `make identify` leaves it."""
     folder.mkdir(parents=True)
     (folder / "report.html").touch()
-    (folder / command.LISTING).write_text(f"file\nreport.html\n{command.LISTING}\n")
+    (folder / LISTING).write_text(f"file\nreport.html\n{LISTING}\n")
     if finished:
         (folder / "identify.json").write_text(json.dumps({"parameters": {"recording": recording}}))
 
@@ -288,8 +287,8 @@ def test_results_do_not_replace_files_of_others(tmp_path, monkeypatch, capsys, s
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("file\nother.txt\n")
     (tmp_path / "empty").mkdir()
-    results(tmp_path / "build" / "identify" / "log", ["run1/log.csv"])
-    results(tmp_path / "killed", [], finished=False)
+    leave_results(tmp_path / "build" / "identify" / "log", ["run1/log.csv"])
+    leave_results(tmp_path / "killed", [], finished=False)
     (tmp_path / "killed" / "my notes.txt").touch()
     for folder, words in {
         "/": "no folder for results", "~": "no folder for results", "home": "no folder for results",

@@ -31,7 +31,7 @@ def test_a_fit_sees_what_happens_on_seams():
     y = y * 80 / np.abs(y).max() + rng.normal(0, 0.3, (n, 1))
     identification = tras.identify(one(y, u, dt), draws=0, predictor="one_step", smoothing=False)
     assert of(identification)["nrmse"].max() < 1 and of(identification)["free"].max() < 1
-    assert identification.train.lengths.max() > 3000  # whole trajectories, not pieces
+    assert identification.remarks["every"] * identification.train.lengths.max() > 3000  # whole trajectories, not pieces
     assert identification.delivered.pairs_ > identification.model.pairs_
 
 
@@ -107,8 +107,9 @@ def test_predictions_start_from_what_was_measured_up_to_then():
     every = identification.remarks["every"]
     assert of(identification)["nrmse"].max() < 2.5 and every * identification.model.delays >= 16
     # The truth of a window is the recording's, sample by sample.
-    y, window = log.decimated(every).states[0], identification.test.states[0]
-    assert any(np.array_equal(y[k : k + len(window)], window) for k in range(len(y) - len(window) + 1))
+    y, window = log.states[0], identification.test.states[0]
+    span = every * (len(window) - 1) + 1
+    assert any(np.array_equal(y[k : k + span : every], window) for k in range(len(y) - span + 1))
 
 
 def resting(n_moving=1600, n_rest=900):

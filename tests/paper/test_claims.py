@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
+from test_plans import runs as flights
 
 import tras
 from tras import generator
@@ -299,14 +300,28 @@ class Known:
         return tras.vector_field(x, self.sign * u, self.plant)
 
 
+def loops():
+    """Closed loops of 11_control, as far as C10 tells of them."""
+    rows = [("PID", False, 0.5, 0.3), ("MPC, the paper's", True, 0.06, 0.05), ("MPC, the paper's", False, 0.2, 0.2)]
+    rows = [dict(zip(("controller", "preview", "yaw", "pitch"), row)) for row in rows]
+    return pd.DataFrame([{"reference": "fast", "condition": "calm", **row} for row in rows])
+
+
+def test_the_evidence_tells_of_the_closed_loops_with_preview():
+    evidence = claims.control({"exact": Known(tras.PlantParameters())}, loops())["evidence"]
+    assert evidence.endswith("yaw / pitch in rad: MPC, the paper's 0.06 / 0.05, PID 0.5 / 0.3")
+
+
 def test_feedback_from_a_good_model_works_and_from_a_wrong_one_does_not():
     plant = tras.PlantParameters()
-    good = claims.control({"exact": Known(plant)})
+    good = claims.control({"exact": Known(plant)}, loops())
     assert good["verdict"] == claims.REPRODUCED and good["value"] < -0.2
-    assert claims.control({"torques the wrong way": Known(plant, -1.0)})["verdict"] == claims.NOT
+    assert claims.control({"torques the wrong way": Known(plant, -1.0)}, loops())["verdict"] == claims.NOT
     # Where a linear model's feedback is as fast, the ground is not the paper's alone; a wrong one is no rival.
-    assert claims.control({"exact": Known(plant), "linear": Known(plant)})["verdict"] == claims.PARTLY
-    assert claims.control({"exact": Known(plant), "linear": Known(plant, -1.0)})["verdict"] == claims.REPRODUCED
+    assert claims.control({"exact": Known(plant), "linear": Known(plant)}, loops())["verdict"] == claims.PARTLY
+    assert (
+        claims.control({"exact": Known(plant), "linear": Known(plant, -1.0)}, loops())["verdict"] == claims.REPRODUCED
+    )
 
 
 def test_the_linearisation_is_the_plants():
@@ -322,13 +337,14 @@ def test_the_linearisation_is_the_plants():
 @pytest.fixture(scope="module")
 def judged():
     tables = {"comparison": comparison(), "readings": grid(with_torque), "around": around(), "metrics": metrics()}
-    tables["length"] = length((0.0, 0.0), (0.9, 0.1))
+    tables |= {"length": length((0.0, 0.0), (0.9, 0.1)), "control": flights()}
     return claims.evaluate(tables, {"exact": Known(tras.PlantParameters())})
 
 
 def test_all_ten_have_a_verdict_and_evidence(judged):
-    assert list(judged["claim"]) == [f"C{i}" for i in range(1, 11)] and list(judged) == list(claims.COLUMNS)
-    assert set(judged["verdict"]) <= set(claims.VERDICTS) and judged["evidence"].str.len().min() > 40
+    assert list(judged["claim"]) == [*(f"C{i}" for i in range(1, 11)), "F2"] and list(judged) == list(claims.COLUMNS)
+    assert set(judged["verdict"][:10]) <= set(claims.VERDICTS) and set(judged["verdict"][10:]) <= set(claims.FUTURE)
+    assert judged["evidence"].str.len().min() > 40
     assert (judged.loc[judged["verdict"] == claims.NAMED, "reading"] != "").all()
 
 
@@ -340,11 +356,11 @@ def test_the_readme_holds_the_verdicts(judged, tmp_path, capsys):
     call = ["verdicts", f"--data={tmp_path}", f"--pages={tmp_path}"]
     assert pages.main([*call, "--write"]) == 0
     lines = readme.read_text().splitlines()
-    assert len(lines) == 2 + 10 + 2
+    assert len(lines) == 2 + 11 + 2
     for line, row in zip(lines[2:], judged.itertuples()):
         assert line.startswith(f"* {row.claim}: {row.statement}. **{row.verdict.capitalize()}**")
-        assert line.endswith(f" ({row.reading}).") == (row.verdict in (claims.NAMED, claims.PARTLY))
-    assert pages.main(call) == 0 and capsys.readouterr().out.count("\n") == 10
+        assert line.endswith(f" ({row.reading}).") == (row.verdict in claims.NAMING)
+    assert pages.main(call) == 0 and capsys.readouterr().out.count("\n") == 11
     readme.write_text("no markers")
     assert pages.main([*call, "--write"]) == 2 and "must hold" in capsys.readouterr().err
     assert pages.main([call[0], f"--data={tmp_path / 'none'}"]) == 2 and "make all" in capsys.readouterr().err
@@ -353,7 +369,8 @@ def test_the_readme_holds_the_verdicts(judged, tmp_path, capsys):
 def test_the_findings_count_the_verdicts_and_say_what_the_nearest_is_worth(judged):
     ranking = effects.nearest(grid(with_torque))
     text = claims.findings(judged.to_dict("records"), ranking.astype(str).to_dict("records"))
-    counts = judged["verdict"].value_counts()
+    counts = judged["verdict"][:10].value_counts()
+    assert text.startswith("Of the paper's 10 statements: ") and "future" not in text
     assert all(f"{counts[verdict]} {verdict.replace('holds in part', 'hold')}" in text for verdict in counts.index)
     assert "differs from the default in input (the torques in N m that act on the plant)" in text
     assert ": yaw 4.1 % (4.02 to 4.18), pitch 5.5 % (5.39 to 5.61) over the seeds" in text

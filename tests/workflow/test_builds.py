@@ -56,7 +56,7 @@ def small(folder):
     for name in (".venv", "tras"):
         (folder / name).symlink_to(ROOT / name)
     (folder / "params" / "small.yaml").write_text("".join(f"{stage}:\n  figures_dir: figures\n" for stage in STAGES))
-    for path in (ROOT / "notebooks").glob("0*.ipynb"):  # make wants to know of all of them
+    for path in (ROOT / "notebooks").glob("[0-9]*.ipynb"):  # make wants to know of all of them
         write_notebook(folder / "notebooks" / path.name, SETTINGS)
     for stage, names in zip(STAGES, outputs()):
         path = write_notebook(folder / "notebooks" / f"{stage}.ipynb", SETTINGS, f"names = {names!r}", BUSY)

@@ -26,7 +26,8 @@ class MPC(Controller):
     Bock and J. P. Schloeder, SIAM J. Control Optim. 43, 2005, 1714).
 
     It is without steady error by default: a disturbance is estimated and predicted (G. Pannocchia and J. B. Rawlings,
-    AIChE J. 49, 2003, 426), by a `tras.Observer` of all states, or by the ``observer`` that it has.
+    AIChE J. 49, 2003, 426), by a `tras.Observer` of all states with a disturbance of the inputs, or by the ``observer``
+    that it has.
 
     Parameters
     ----------

@@ -10,6 +10,7 @@ from tras.control.options import Numbers, per_channel, require_known
 from tras.control.predictors import predictor
 
 _NOISE = 1e-3  # half-ranges: the default of a measurement
+_EXACT = 1e-6  # half-ranges: the same where all states are measured and none has to be found by differences
 _GUSTS = 0.1  # half-ranges of the inputs: the default of what acts for one sample
 _MEMORY = 100  # samples in which a disturbance is told from that, by default
 _UNKNOWN = 1.0  # half-ranges: the standard deviation of a state that was never measured
@@ -19,9 +20,10 @@ class Observer:
     """Estimate all states and a disturbance of the inputs from some of the states.
 
     The disturbance d is added to inputs, or to states after each sample, and constant but for a random walk: what a
-    controller needs to be without steady error (G. Pannocchia and J. B. Rawlings, AIChE J. 49, 2003, 426). As many
-    disturbances as measurements are enough for any constant error of the model. The filter is the extended Kalman
-    filter of z, which with a model's delays holds earlier samples too, and d.
+    controller needs to be without steady error (G. Pannocchia and J. B. Rawlings, AIChE J. 49, 2003, 426). It has to be
+    where the unknown acts: on the inputs, if these are torques; on all states, if the inputs are commands of motors
+    whose speeds are measured too. As many disturbances as measurements are enough for any constant error of the model.
+    The filter is the extended Kalman filter of z, which with a model's delays holds earlier samples too, and d.
 
     Parameters
     ----------
@@ -29,11 +31,11 @@ class Observer:
     measured : sequence of str, optional
         Names of the states that are measured; default all.
     disturbed : sequence of str, optional
-        Names of the inputs or states that a disturbance is added to. Default: all states if all are measured, otherwise
-        the inputs. ``[]``: there is none.
+        Names of the inputs or states that a disturbance is added to; default the inputs. ``[]``: there is none.
     noise : float, sequence or mapping, optional
         Standard deviation of the noise of each of them, in its unit (`tras.noise_level` estimates it). Default: a
-        thousandth of the half-range of the data.
+        thousandth of the half-range of the data; next to nothing where all states of a model without delays are
+        measured, so that a controller acts on what is measured.
     process : float, sequence or mapping, optional
         Standard deviation of what else acts on each input for one sample, in its unit: the larger, the more a
         measurement counts and the less the model. Default: a tenth of the half-range. The states have the residual of
@@ -88,7 +90,9 @@ class Observer:
         self._place_disturbances(disturbed)
         n, count, m = len(c.state_names), len(c.z_scale), len(c.input_names)
         size = count + len(self.disturbed)
-        self.noise = per_channel("noise", noise, self.measured, _NOISE * c.x_scale[self._rows])
+        everything = set(self.measured) == set(c.state_names) and not c.delays  # delays are for what is not measured
+        least = (_EXACT if everything else _NOISE) * c.x_scale[self._rows]
+        self.noise = per_channel("noise", noise, self.measured, least)
         self.process = per_channel("process", process, c.input_names, _GUSTS * c.u_scale)
         self._gusts = self.process / c.u_scale
         _, slopes = self.predictor.advance_with_slopes(np.zeros((count, 1)), np.zeros((m, 1)))
@@ -105,9 +109,7 @@ class Observer:
     def _place_disturbances(self, names):
         """Matrices that add the disturbances to inputs (m, disturbed) and to states (n', disturbed)."""
         c = self.channels
-        if names is None:
-            names = c.state_names if set(self.measured) == set(c.state_names) else c.input_names
-        self.disturbed = tuple(names)
+        self.disturbed = tuple(c.input_names if names is None else names)
         for name in self.disturbed:
             require_known("disturbed", name, c.input_names + c.state_names)
         self._on_inputs = np.zeros((len(c.input_names), len(self.disturbed)))
@@ -145,7 +147,7 @@ class Observer:
 
     def scaled(self, y: np.ndarray, u: ArrayLike | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same in scaled channels: z (n',), and what disturbs the inputs (m,) and the states (n',)."""
-        c, count = self.channels, len(self.channels.z_scale)
+        c = self.channels
         if y.shape == c.x_scale.shape:
             y = y[self._rows]
         if y.shape != self._rows.shape or not np.isfinite(y).all():
@@ -156,6 +158,12 @@ class Observer:
         else:
             self._predict((np.asarray(u, dtype=float) - c.u_offset) / c.u_scale)
             self._correct(y)
+        return self.estimate
+
+    @property
+    def estimate(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """State, and what disturbs the inputs and the states, in scaled channels."""
+        count = len(self.channels.z_scale)
         d = self._state[count:]
         return self._state[:count], self._on_inputs @ d, self._on_states @ d
 

@@ -85,7 +85,7 @@ void {name}_step(const double *x, const double *u, double *x_next)
 """
 _SCALE_INPUTS = "    for (int i = 0; i < INPUTS; i++) z[STATES + i] = (u[i] - u_offset[i]) / u_scale[i];\n"
 _LINEAR = """\
-void {name}lift(const double *x, double *z)
+void {name}_lift(const double *x, double *z)
 {{
     double scaled[STATES];
     for (int i = 0; i < STATES; i++) scaled[i] = (x[i] - x_offset[i]) / x_scale[i];
@@ -159,7 +159,7 @@ def _header(model, name, slopes):
     if linear:
         lines += [
             "/* Lift a state once, step in the lifted space, where the system is linear, and read x from z. */",
-            f"void {name}lift(const double *x, double *z);",
+            f"void {name}_lift(const double *x, double *z);",
         ]
     state = "z" if linear else "x"
     lines += [

@@ -70,7 +70,7 @@ void ${name}_init(void)
 int ${name}_step(const double *x, const double *reference, int samples, double *u)
 {
     static double wanted[(HORIZON + 1) * FOLLOWED];
-    double z[STATES], d[INPUTS], scaled[INPUTS];
+    double z[STATES], of_inputs[INPUTS], of_states[STATES], scaled[INPUTS];
     int solved, rows = samples < HORIZON + 1 ? samples : HORIZON + 1, finite = rows > 0;
     for (int i = 0; i < MEASURED; i++) finite = finite && fabs(x[i]) < INFINITY;
     for (int i = 0; i < rows * FOLLOWED; i++) {
@@ -80,8 +80,8 @@ int ${name}_step(const double *x, const double *reference, int samples, double *
     }
     for (int j = 0; j < INPUTS; j++) u[j] = last_u[j];
     if (!finite) return ${NAME}_NOT_FINITE;
-    estimate(x, z, d);
-    solved = inputs(z, d, wanted, rows, scaled);
+    estimate(x, z, of_inputs, of_states);
+    solved = inputs(z, of_inputs, of_states, wanted, rows, scaled);
     for (int j = 0; j < INPUTS; j++) {
         double unlimited = scaled[j] * u_scale[j] + u_offset[j];
         u[j] = last_u[j] = unlimited < lowest[j] ? lowest[j] : unlimited > highest[j] ? highest[j] : unlimited;
@@ -183,7 +183,7 @@ class _Parts:
         n, m, count = len(c.state_names), len(c.input_names), len(c.z_scale)
         counts = {
             "STATES": count, "INPUTS": m, "CHANNELS": count + m, "FUNCTIONS": len(model.names_), "PRESENT": n,
-            "DELAYS": c.delays, "DELAYED_INPUTS": int(bool(c.delayed_inputs)), "MEASURED": len(self.measured),
+            "DELAYS": c.delays, "MEASURED": len(self.measured),
             "FOLLOWED": len(controller.followed), "HORIZON": controller.horizon,
         }  # fmt: skip
         arrays = {"x_offset": c.z_offset, "x_scale": c.z_scale, "u_offset": c.u_offset, "u_scale": c.u_scale}
@@ -206,12 +206,23 @@ class _Parts:
         observer, c = self.controller.observer, self.controller.channels
         if observer is None:
             return {}, {}, estimator_c.STATE + estimator_c.WITHOUT_OBSERVER
-        arrays = {"measured": observer._rows.tolist(), "noise": np.diag(observer._R), "process": np.diag(observer._Q)}
-        arrays["gusts"] = observer._gusts
         fresh = copy.copy(observer)
         fresh._begin(np.zeros(len(observer.measured)))
-        arrays["first_variance"] = np.diag(fresh.covariance)
-        return {"ALL": len(c.z_scale) + len(c.u_scale)}, arrays, estimator_c.STATE + estimator_c.OBSERVER
+        count = len(c.z_scale)
+        size = max(len(observer._Q), count + 1)  # C has no empty arrays, so at least one, which may do nothing
+
+        def padded(values, *shape):
+            result = np.zeros(shape)
+            result[tuple(map(slice, values.shape))] = values
+            return result
+
+        arrays = {
+            "measured": observer._rows.tolist(), "noise": np.diag(observer._R), "gusts": observer._gusts,
+            "process": padded(np.diag(observer._Q), size), "first_variance": padded(np.diag(fresh.covariance), size),
+            "on_inputs": padded(observer._on_inputs, len(c.u_scale), size - count),
+            "on_states": padded(observer._on_states, count, size - count),
+        }  # fmt: skip
+        return {"ALL": size}, arrays, estimator_c.STATE + estimator_c.OBSERVER
 
     def _regulator(self):
         lqr = self.controller

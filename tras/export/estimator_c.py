@@ -12,7 +12,7 @@ static void start_estimate(void)
 }
 
 /* What is not known yet was as the oldest that is known. */
-static void estimate(const double *x, double *z, double *d)
+static void estimate(const double *x, double *z, double *of_inputs, double *of_states)
 {
     for (int i = DELAYS; i >= 0; i--)
         for (int j = 0; j < PRESENT; j++) past_x[i][j] = i == 0 || is_first ? x[j] : past_x[i - 1][j];
@@ -24,7 +24,8 @@ static void estimate(const double *x, double *z, double *d)
         double u = is_first ? u_offset[of_past % INPUTS] : past_u[of_past / INPUTS][of_past % INPUTS];
         z[i] = (u - x_offset[i]) / x_scale[i];
     }
-    for (int j = 0; j < INPUTS; j++) d[j] = 0.0;
+    for (int j = 0; j < INPUTS; j++) of_inputs[j] = 0.0;
+    for (int i = 0; i < STATES; i++) of_states[i] = 0.0;
 }
 
 static void remember(void)
@@ -35,7 +36,7 @@ static void remember(void)
 
 """
 OBSERVER = """\
-static double estimated[ALL], covariance[ALL][ALL]; /* of z and of the disturbance of the inputs */
+static double estimated[ALL], covariance[ALL][ALL]; /* of z and of the disturbances */
 
 static void start_estimate(void)
 {
@@ -43,21 +44,33 @@ static void start_estimate(void)
         for (int j = 0; j < ALL; j++) covariance[i][j] = 0.0;
 }
 
+/* What the estimated disturbances add to the inputs, and to the states after a sample. */
+static void disturb(double *of_inputs, double *of_states)
+{
+    for (int i = 0; i < INPUTS; i++) of_inputs[i] = 0.0;
+    for (int i = 0; i < STATES; i++) of_states[i] = 0.0;
+    for (int k = STATES; k < ALL; k++) {
+        for (int i = 0; i < INPUTS; i++) of_inputs[i] += on_inputs[i][k - STATES] * estimated[k];
+        for (int i = 0; i < STATES; i++) of_states[i] += on_states[i][k - STATES] * estimated[k];
+    }
+}
+
 /* The extended Kalman filter over one sample, u held. */
 static void predict_estimate(void)
 {
-    double start[CHANNELS], z[STATES], slopes[STATES][CHANNELS], move[ALL][ALL], half[ALL][ALL];
+    double start[CHANNELS], z[STATES], slopes[STATES][CHANNELS], move[ALL][ALL], half[ALL][ALL], of_states[STATES];
+    disturb(start + STATES, of_states);
     for (int i = 0; i < STATES; i++) start[i] = estimated[i];
-    for (int j = 0; j < INPUTS; j++)
-        start[STATES + j] = (last_u[j] - u_offset[j]) / u_scale[j] + estimated[STATES + j];
+    for (int j = 0; j < INPUTS; j++) start[STATES + j] += (last_u[j] - u_offset[j]) / u_scale[j];
     advance_slopes(start, z, slopes);
     for (int i = 0; i < ALL; i++)
-        for (int j = 0; j < ALL; j++) move[i][j] = i < STATES ? slopes[i][j] : i == j;
-    for (int j = 0; j < INPUTS && DELAYED_INPUTS; j++) { /* the past holds the inputs without what disturbs them */
-        z[PRESENT * (DELAYS + 1) + j] = start[STATES + j] - estimated[STATES + j];
-        for (int k = STATES; k < ALL; k++) move[PRESENT * (DELAYS + 1) + j][k] = 0.0;
-    }
-    for (int i = 0; i < STATES; i++) estimated[i] = z[i];
+        for (int j = 0; j < ALL; j++) {
+            move[i][j] = i < STATES && j < STATES ? slopes[i][j] : i == j;
+            if (i >= STATES || j < STATES) continue;
+            move[i][j] = on_states[i][j - STATES];
+            for (int k = 0; k < INPUTS; k++) move[i][j] += slopes[i][STATES + k] * on_inputs[k][j - STATES];
+        }
+    for (int i = 0; i < STATES; i++) estimated[i] = z[i] + of_states[i];
     for (int i = 0; i < ALL; i++)
         for (int j = 0; j < ALL; j++) {
             half[i][j] = 0.0;
@@ -68,7 +81,7 @@ static void predict_estimate(void)
             covariance[i][j] = i == j ? process[i] : 0.0;
             for (int k = 0; k < ALL; k++) covariance[i][j] += half[i][k] * move[j][k];
             for (int k = 0; k < INPUTS && i < STATES && j < STATES; k++) /* what acts for one sample */
-                covariance[i][j] += move[i][STATES + k] * gusts[k] * move[j][STATES + k];
+                covariance[i][j] += slopes[i][STATES + k] * gusts[k] * gusts[k] * slopes[j][STATES + k];
         }
 }
 
@@ -115,7 +128,7 @@ static void correct_estimate(const double *y)
         }
 }
 
-static void estimate(const double *x, double *z, double *d)
+static void estimate(const double *x, double *z, double *of_inputs, double *of_states)
 {
     double y[MEASURED];
     for (int i = 0; i < MEASURED; i++) y[i] = (x[i] - x_offset[measured[i]]) / x_scale[measured[i]];
@@ -131,7 +144,7 @@ static void estimate(const double *x, double *z, double *d)
         correct_estimate(y);
     }
     for (int i = 0; i < STATES; i++) z[i] = estimated[i];
-    for (int j = 0; j < INPUTS; j++) d[j] = estimated[STATES + j];
+    disturb(of_inputs, of_states);
 }
 
 static void remember(void)

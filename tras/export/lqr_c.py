@@ -59,20 +59,20 @@ static void least_squares(double A[EQUATIONS][CHANNELS], const double *b, double
 }
 
 /* u = u_s - gain (z - z_s), about the state and input at rest that Newton's method finds, from the last ones. */
-static int inputs(const double *z, const double *d, const double *reference, int samples, double *u)
+static int inputs(const double *z, const double *of_inputs, const double *of_states, const double *reference,
+                  int samples, double *u)
 {
     double point[CHANNELS], largest = INFINITY;
     (void)samples;
-    for (int i = 0; i < CHANNELS; i++) point[i] = has_target ? target[i] : i < STATES ? z[i] : -d[i - STATES];
+    for (int i = 0; i < CHANNELS; i++) point[i] = has_target ? target[i] : i < STATES ? z[i] : -of_inputs[i - STATES];
     for (int round = 0; round < ROUNDS; round++) {
         double start[CHANNELS], later[STATES], slopes[STATES][CHANNELS];
         double missing[EQUATIONS], slope[EQUATIONS][CHANNELS], step[CHANNELS];
-        for (int i = 0; i < CHANNELS; i++) start[i] = point[i] + (i < STATES ? 0.0 : d[i - STATES]);
+        for (int i = 0; i < CHANNELS; i++) start[i] = point[i] + (i < STATES ? 0.0 : of_inputs[i - STATES]);
         advance_slopes(start, later, slopes);
-        for (int j = 0; j < INPUTS && DELAYED_INPUTS; j++) /* at rest the past inputs are u, without the disturbance */
-            later[PRESENT * (DELAYS + 1) + j] = point[STATES + j];
         for (int i = 0; i < EQUATIONS; i++) {
-            missing[i] = i < STATES ? later[i] - point[i] : reference[i - STATES] - point[followed[i - STATES]];
+            missing[i] = i < STATES ? later[i] + of_states[i] - point[i]
+                         : reference[i - STATES] - point[followed[i - STATES]];
             for (int j = 0; j < CHANNELS; j++)
                 slope[i][j] = i < STATES ? (i == j) - slopes[i][j] : j == followed[i - STATES];
         }

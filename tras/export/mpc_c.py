@@ -82,11 +82,12 @@ static void start_inputs(void)
     start_program();
 }
 
-static int inputs(const double *z, const double *d, const double *reference, int samples, double *u)
+static int inputs(const double *z, const double *of_inputs, const double *of_states, const double *reference,
+                  int samples, double *u)
 {
     static double by_state[HORIZON][STATES][CHANNELS], constant[HORIZON][STATES]; /* z+ = by_state (z, u) + constant */
     double before[INPUTS];
-    int first = !has_plan, status = SOLVED;
+    int first = !has_plan, is_solved = 0;
     shift_program();
     for (int j = 0; j < INPUTS; j++) before[j] = (last_u[j] - u_offset[j]) / u_scale[j];
     for (int k = 0; k < HORIZON; k++) {
@@ -97,7 +98,7 @@ static int inputs(const double *z, const double *d, const double *reference, int
     }
     for (int round = 0; round < (first ? FIRST : ITERATIONS); round++) {
         static double by_moves[STATES][VARIABLES], turned[STATES][VARIABLES];
-        double free[STATES], largest = 0.0;
+        double free[STATES], largest = 0.0, astray = 0.0;
         for (int i = 0; i < VARIABLES; i++) {
             qp.f[i] = 0.0;
             for (int j = 0; j < VARIABLES; j++) qp.H[i][j] = 0.0;
@@ -111,10 +112,10 @@ static int inputs(const double *z, const double *d, const double *reference, int
             int columns = (block[k] + 1) * INPUTS;
             const double *wanted = ahead(reference, samples, k + 1);
             for (int i = 0; i < STATES; i++) start[i] = planned[k][i];
-            for (int j = 0; j < INPUTS; j++) start[STATES + j] = plan[k][j] + d[j];
+            for (int j = 0; j < INPUTS; j++) start[STATES + j] = plan[k][j] + of_inputs[j];
             advance_slopes(start, later, by_state[k]);
             for (int i = 0; i < STATES; i++) {
-                constant[k][i] = later[i];
+                constant[k][i] = later[i] + of_states[i];
                 for (int j = 0; j < STATES; j++) constant[k][i] -= by_state[k][i][j] * planned[k][j];
                 for (int j = 0; j < INPUTS; j++) constant[k][i] -= by_state[k][i][STATES + j] * plan[k][j];
                 later[i] = constant[k][i];
@@ -126,7 +127,11 @@ static int inputs(const double *z, const double *d, const double *reference, int
             }
             for (int i = 0; i < STATES; i++) {
                 free[i] = later[i];
-                for (int c = 0; c < columns; c++) by_moves[i][c] = turned[i][c];
+                astray += 0.0 * free[i]; /* not a number, if that is not finite */
+                for (int c = 0; c < columns; c++) {
+                    by_moves[i][c] = turned[i][c];
+                    astray += 0.0 * turned[i][c];
+                }
             }
             for (int r = 0; r < FOLLOWED; r++) {
                 const double *row = by_moves[followed[r]], error = free[followed[r]] - wanted[r];
@@ -137,12 +142,13 @@ static int inputs(const double *z, const double *d, const double *reference, int
                 }
             }
 $limits        }
+        if (!(astray == 0.0)) break; /* the predictions run away */
         add_changes(first ? NULL : before);
-        status = solve_program(&qp);
-        if (status != SOLVED) forget(&qp);
-        if (status != SOLVED) /* the rest of the last plan */
-            for (int k = HORIZON - 1; k >= 0; k--)
-                for (int j = 0; j < INPUTS; j++) qp.v[block[k] * INPUTS + j] = plan[k][j];
+        if (solve_program(&qp) != SOLVED) {
+            forget(&qp);
+            break;
+        }
+        is_solved = 1;
         for (int i = 0; i < STATES; i++) planned[0][i] = z[i];
         for (int k = 0; k < HORIZON; k++) {
             for (int i = 0; i < STATES; i++) {
@@ -151,17 +157,26 @@ $limits        }
                 for (int j = 0; j < INPUTS; j++)
                     planned[k + 1][i] += by_state[k][i][STATES + j] * qp.v[block[k] * INPUTS + j];
             }
-            for (int j = 0; j < INPUTS && status == SOLVED; j++) {
+            for (int j = 0; j < INPUTS; j++) {
                 double move = fabs(qp.v[block[k] * INPUTS + j] - plan[k][j]);
                 if (move > largest) largest = move;
                 plan[k][j] = qp.v[block[k] * INPUTS + j];
             }
         }
-        if (status != SOLVED || (first && largest < 1e-6)) break;
+        if (first && largest < 1e-6) break;
+        for (int k = 0; k < HORIZON - 1 && first; k++) { /* far from any plan its states are simulated */
+            double start[CHANNELS], slopes[STATES][CHANNELS];
+            for (int i = 0; i < STATES; i++) start[i] = planned[k][i];
+            for (int j = 0; j < INPUTS; j++) start[STATES + j] = plan[k][j] + of_inputs[j];
+            advance_slopes(start, planned[k + 1], slopes);
+            for (int i = 0; i < STATES; i++) planned[k + 1][i] += of_states[i];
+        }
     }
+    for (int k = 0; k <= HORIZON && !is_solved; k++) /* the rest of the last plan, and states to begin anew with */
+        for (int i = 0; i < STATES; i++) planned[k][i] = z[i];
     has_plan = 1;
     for (int j = 0; j < INPUTS; j++) u[j] = plan[0][j];
-    return status == SOLVED;
+    return is_solved;
 }
 
 """
@@ -174,8 +189,8 @@ STATE_LIMITS = """\
             }
 """
 LIFTED = """\
-/* What does not depend on the state: states to watch by the lifting, by the disturbance, by the moves; the cost. */
-static double by_lifting[HORIZON][WATCHED][FUNCTIONS], by_disturbance[HORIZON][WATCHED][INPUTS];
+/* What does not depend on the state: states to watch by the lifting, by disturbances, by the moves; the cost. */
+static double by_lifting[HORIZON][WATCHED][FUNCTIONS], by_disturbance[HORIZON][WATCHED][CHANNELS];
 static double by_moves[HORIZON][WATCHED][VARIABLES], cost[VARIABLES][VARIABLES];
 
 static void start_inputs(void)
@@ -193,9 +208,11 @@ static void start_inputs(void)
             for (int j = 0; j < INPUTS; j++) {
                 impulse[k][w][j] = 0.0;
                 for (int f = 0; f < FUNCTIONS; f++) impulse[k][w][j] += power[w][f] * B[f][j];
-                by_disturbance[k][w][j] = impulse[k][w][j] + (k ? by_disturbance[k - 1][w][j] : 0.0);
+                by_disturbance[k][w][STATES + j] = impulse[k][w][j] + (k ? by_disturbance[k - 1][w][STATES + j] : 0.0);
                 for (int i = 0; i <= k; i++) by_moves[k][w][block[i] * INPUTS + j] += impulse[k - i][w][j];
             }
+            for (int i = 0; i < STATES; i++)
+                by_disturbance[k][w][i] = power[w][1 + i] + (k ? by_disturbance[k - 1][w][i] : 0.0);
             for (int f = 0; f < FUNCTIONS; f++) {
                 by_lifting[k][w][f] = 0.0;
                 for (int g = 0; g < FUNCTIONS; g++) by_lifting[k][w][f] += power[w][g] * A[g][f];
@@ -210,10 +227,11 @@ static void start_inputs(void)
 $limits    }
 }
 
-static int inputs(const double *z, const double *d, const double *reference, int samples, double *u)
+static int inputs(const double *z, const double *of_inputs, const double *of_states, const double *reference,
+                  int samples, double *u)
 {
-    double before[INPUTS], psi[FUNCTIONS];
-    int status, first = !has_plan;
+    double before[INPUTS], psi[FUNCTIONS], astray = 0.0;
+    int is_solved, first = !has_plan;
     lift(z, psi);
     shift_program();
     for (int j = 0; j < INPUTS; j++) before[j] = (last_u[j] - u_offset[j]) / u_scale[j];
@@ -232,20 +250,22 @@ static int inputs(const double *z, const double *d, const double *reference, int
         for (int w = 0; w < WATCHED; w++) {
             free[w] = 0.0;
             for (int f = 0; f < FUNCTIONS; f++) free[w] += by_lifting[k][w][f] * psi[f];
-            for (int j = 0; j < INPUTS; j++) free[w] += by_disturbance[k][w][j] * d[j];
+            for (int i = 0; i < CHANNELS; i++)
+                free[w] += by_disturbance[k][w][i] * (i < STATES ? of_states[i] : of_inputs[i - STATES]);
+            astray += 0.0 * free[w]; /* not a number, if that is not finite */
         }
         for (int r = 0; r < FOLLOWED; r++)
             for (int c = 0; c < columns; c++)
                 qp.f[c] += error_weight[r] * by_moves[k][r][c] * (free[r] - wanted[r]);
 $free    }
     add_changes(first ? NULL : before);
-    status = solve_program(&qp);
-    if (status != SOLVED) forget(&qp);
-    for (int k = 0; k < HORIZON && status == SOLVED; k++)
+    is_solved = astray == 0.0 && solve_program(&qp) == SOLVED;
+    if (!is_solved) forget(&qp);
+    for (int k = 0; k < HORIZON && is_solved; k++)
         for (int j = 0; j < INPUTS; j++) plan[k][j] = qp.v[block[k] * INPUTS + j];
     has_plan = 1;
     for (int j = 0; j < INPUTS; j++) u[j] = plan[0][j];
-    return status == SOLVED;
+    return is_solved;
 }
 
 """

@@ -176,6 +176,7 @@ _SLOPES = {
     "cosh": lambda a, f: a.sinh(),
     "tanh": lambda a, f: 1 - f * f,
     "sqrt": lambda a, f: 0.5 / f,
+    "abs": lambda a, f: a._of("sign", a),
 }
 
 
@@ -199,6 +200,9 @@ def text(node, language, names=None):
         return language.channel.format(node.parts[0] + language.first)
     if node.kind in FUNCTIONS:
         return f"{language.absolute if node.kind == 'abs' else node.kind}({write(node.parts[0])})"
+    if node.kind == "sign":  # of slopes, in C
+        a = write(node.parts[0], 3)
+        return f"(({a} > 0.0) - ({a} < 0.0))"
     if node.kind == "negative":
         return f"-{write(node.parts[0], 2)}"
     a, b = node.parts

@@ -220,13 +220,14 @@ def _channel(row, name, is_input):
         yield note(f"{name} is coarse", f"{name} moves in steps of {row['step']:.3g}, {percent} of its range.")
     jumps = row["jump"] > 0.3 and row["jump"] > 5 * row["usual"]
     if row["glitches"] and (is_input or not jumps):
-        count = f"{row['glitches']} samples leave" if row["glitches"] > 1 else "One sample leaves"
-        where = f"{row['glitch_at']:.6g} s after the beginning of trajectory {row['glitch_in']}"
+        several = row["glitches"] > 1
+        count = f"{row['glitches']} samples of {name} stand" if several else f"One sample of {name} stands"
+        where = f"{'the farthest' if several else 'it'} is {row['glitch_at']:.6g} s after the beginning of trajectory"
         yield warning(
             f"{name} has a glitch",
-            f"{count} the neighbours in {name} and the next ones are back, as nowhere else; the farthest is {where}. "
-            "A single wrong sample can multiply the error of a model several times: repair it, or cut there. If that "
-            "is an impulse that was given, all is well.",
+            f"{count} far from the neighbours on both sides, as nowhere else; {where} {row['glitch_in']}. A single "
+            "wrong sample can multiply the error of a model several times: repair it, or cut there. If that is an "
+            "impulse that was given, all is well.",
         )
     if is_input:
         return

@@ -26,12 +26,12 @@ from tras.io.formats import FORMATS
 from tras.workflow.arguments import MissingExtraError, percent, visible, well_formed
 from tras.workflow.files import require_writable, working_folder
 from tras.workflow.parameters import ParameterError, check_parameters, notebook_defaults
+from tras.workflow.results import require_own_folder
 from tras.workflow.runner import Interrupted, RunError, interruptible, run_notebook
 
 # Errors that are a sentence about the recording or the call, not a fault of the program.
 _SENTENCES = ("RecordingError", "ValueError", "LogarithmError", "FileNotFoundError", "MissingExtraError")
 MODULE = "python -m tras.identification.command"  # what make runs
-LISTING = "contents.csv"  # of the folder; `tras.identification.folder` writes it
 NOTEBOOK = Path(__file__).with_name("identify.ipynb")
 
 
@@ -205,17 +205,7 @@ def _parameters(options, out, root):
 
 def _check_folder(out, recording):
     """Refuse a folder that holds anything but an earlier identification of one of these recordings."""
-    if out.exists() and not out.is_dir():
-        raise ParameterError(f"OUT: {out} is a file; give a folder.")
-    if out.resolve() in (Path(out.resolve().anchor), Path(os.path.expanduser("~")).resolve()):
-        raise ParameterError(f"OUT: {out} is no folder for results; give a new one, such as OUT={out / 'identified'}.")
-    entries = sorted(path.name for path in out.iterdir()) if out.exists() else []
-    listing = (out / LISTING).read_text(encoding="utf-8", errors="replace") if LISTING in entries else ""
-    if entries and "report.html" not in listing.splitlines():
-        raise ParameterError(
-            f"OUT: {out} holds files of others, such as {entries[0]}; give a new folder, such as "
-            f"OUT={out / 'identified'}."
-        )
+    require_own_folder(out, "report.html", ParameterError)
     try:
         before = json.loads((out / "identify.json").read_text(encoding="utf-8"))["parameters"]["recording"]
     except (OSError, ValueError, KeyError, TypeError):  # of a run that was killed, or of an earlier release

@@ -224,7 +224,8 @@ def _trust(identification, measured):
             sentences.append(f"the response to {name} cannot be trusted at any frequency: {why}")
             continue
         low, high = measured.frequency[np.flatnonzero(some)[[0, -1]]]
-        sentence = f"the response to {name} can be trusted from {low:.2g} Hz to {high:.2g} Hz"
+        where = f"from {low:.2g} Hz to {high:.2g} Hz" if high > low else f"at {low:.2g} Hz alone"
+        sentence = f"the response to {name} can be trusted {where}"
         if not some[(measured.frequency >= low) & (measured.frequency <= high)].all():
             sentence += ", not everywhere between"
         quiet = 1 - excited.mean()

@@ -1,9 +1,6 @@
 """The folder of an identification: report, model, exports, figures and tables, written together or not at all."""
 
-import os
-import shutil
-import tempfile
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -15,14 +12,13 @@ from tras.export.common import to_statespace
 from tras.export.equations import formulas
 from tras.export.matlab import to_matlab
 from tras.identification import diagnosis, figures
-from tras.identification.command import LISTING
 from tras.identification.examples import example
 from tras.identification.identification import Identification
 from tras.identification.page import write_page
 from tras.plotting import save_figure
 from tras.recording import Recording
 from tras.workflow import page
-from tras.workflow.files import umask
+from tras.workflow.results import written_together
 from tras.workflow.study import terminal
 
 _READABLE = 300  # functions; of more no formulas are written
@@ -88,15 +84,8 @@ def write(identification: Identification, log: Recording, name: str, folder: str
     OSError
         If the folder cannot be written; it is then as it was, or, at worst, some files are new and others old.
     """
-    folder = Path(folder)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    stage = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
-        contents = _write_all(identification, log, name, stage)
-        _move(stage, folder)
-    finally:
-        shutil.rmtree(stage, ignore_errors=True)
-    return contents
+    with written_together(folder) as stage:
+        return _write_all(identification, log, name, stage)
 
 
 def _write_all(identification, log, name, stage):
@@ -125,8 +114,6 @@ def _write_all(identification, log, name, stage):
     equations = text.read_text(encoding="utf-8") if text.exists() else ""
     html = write_page(identification, diagnosed, log, name, pictures, contents, failures, equations)
     (stage / "report.html").write_text(html, encoding="utf-8")
-    files = sorted(path.relative_to(stage).as_posix() for path in stage.rglob("*") if path.is_file())
-    pd.DataFrame({"file": [*files, LISTING]}).to_csv(stage / LISTING, index=False, lineterminator="\n")
     return pd.DataFrame(contents, columns=["file", "what"])
 
 
@@ -243,29 +230,3 @@ def _exports(identification, stage):
     else:
         attempt("formulas, as text and as LaTeX; terms that change a row by less than 1 % are left out", text_and_latex)
     return exports, failures
-
-
-def _move(stage, folder):
-    """Move all files of ``stage`` into ``folder``, and remove those that only an earlier run has listed there."""
-    new = {path.relative_to(stage) for path in stage.rglob("*") if path.is_file()}
-    if not folder.exists():
-        stage.chmod(0o777 & ~umask())  # mkdtemp is private; a result is not
-        os.replace(stage, folder)
-        return
-    old = _listed(folder)
-    for path in sorted(new - {Path(LISTING)}):
-        (folder / path).parent.mkdir(parents=True, exist_ok=True)
-        os.replace(stage / path, folder / path)
-    for path in old - new:
-        (folder / path).unlink(missing_ok=True)
-    os.replace(stage / LISTING, folder / LISTING)
-
-
-def _listed(folder):
-    """The files that an earlier run has listed, but none outside the folder."""
-    try:
-        names = pd.read_csv(folder / LISTING)["file"].astype(str)
-    except (OSError, ValueError, KeyError):
-        return set()
-    paths = {PurePosixPath(name) for name in names}
-    return {Path(path) for path in paths if not path.is_absolute() and ".." not in path.parts and str(path) != LISTING}

@@ -30,6 +30,7 @@ from tras.workflow.study import terminal
 
 SEARCHED = 20_000  # snapshot pairs that `search` looks at, at most
 DELAYS = (0, 1, 2, 4, 8, 16, 32)  # that `search` tries by default
+_START = 50  # share of the longest trajectory that the delays of long steps may reach back
 _CURVED = 8  # delays with a dictionary that is not linear, at most
 _CHANNELS = 60  # at most, earlier samples included, with a dictionary that is not linear
 _AVERAGED = 0.01  # noise, as a share of the range, from which on delays help though all velocities are measured
@@ -172,6 +173,9 @@ def search(
     complete = recording.n == 2 * len(pairs) + len(find_actuators(recording, pairs))
     complete = complete and not is_noisy(recording, _AVERAGED)
     tried = {q: _delays(recording.decimated(q), complete) if delays is None else list(delays) for q in steps}
+    if delays is None:  # what starts a prediction is not scored
+        most = max(max(DELAYS), int(recording.lengths.max()) // _START)
+        tried = {q: [d for d in tried[q] if q * d <= most] for q in steps}
     longest = max(steps)
     latest = max(-(-q * max(tried[q]) // longest) * longest for q in steps)  # a multiple of every step
     samples = -(-(samples - 1) // longest) * longest + 1

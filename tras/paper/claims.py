@@ -1,5 +1,7 @@
 """The paper's claims, each with a verdict and its evidence: computed from the tables of the studies, never typed.
 
+Behind the claims (C1, ...) stands what the paper leaves to future work (F1, ...), with verdicts of its own.
+
 What counts, decided before looking: a number of the paper is met when it lies within the range over our seeds, 10 %
 wider on each side; "low" means an error to norm ratio of at most 0.1, "high" a best fit ratio of at least 90 %,
 "superior" an error at least 5 % smaller in both angles, for every seed, by the paper's own dictionary.
@@ -18,13 +20,17 @@ import numpy as np
 import pandas as pd
 from scipy import linalg
 
-from tras.paper import effects, readings
+from tras.paper import effects, plans, readings
 from tras.twin_rotor.plant import PlantParameters, jacobian, rest_point
 from tras.workflow import files
 
 REPRODUCED, NAMED, NOT, UNCHECKABLE, PARTLY = VERDICTS = (
     "reproduced", "reproduced only under a named reading", "not reproduced", "not checkable", "holds in part",
 )  # fmt: skip
+SHOWN, SHOWN_IN_PART, NOT_SHOWN = FUTURE = (
+    "future work, shown", "future work, shown in part", "future work, not shown",
+)  # fmt: skip
+NAMING = (NAMED, PARTLY, SHOWN_IN_PART)  # the verdicts that are told with their reading
 CHANGED = "2026-11-23"  # the day on which the rule of C8 was changed, after a look at the numbers
 COLUMNS = tuple("claim statement verdict quantity value low high reading evidence figure command".split())
 WIDER, LOW_ENR, HIGH_BFR, BETTER, BY_CHANCE = 1.1, 0.1, 90.0, 0.95, 0.05
@@ -33,13 +39,13 @@ PAPERS_OWN = {"input": "reference", "model": "gaussian"}  # the default reading,
 
 
 def evaluate(tables: dict[str, pd.DataFrame], models: dict) -> pd.DataFrame:
-    """All ten claims.
+    """All ten claims, and the future work.
 
     Parameters
     ----------
     tables : dict of str to pandas.DataFrame
         ``readings`` and ``around`` (06_readings), ``metrics`` (03_validation), ``length`` (robustness_length of
-        05_robustness), ``comparison`` (07_comparison).
+        05_robustness), ``comparison`` (07_comparison), ``control`` (11_control).
     models : dict of str to KoopmanModel
         Vector fields with torques as input, of 02_identification; the first is the paper's dictionary.
 
@@ -49,8 +55,8 @@ def evaluate(tables: dict[str, pd.DataFrame], models: dict) -> pd.DataFrame:
         One row per claim, columns `COLUMNS`. ``value, low, high`` belong to ``quantity``; low and high are the extremes
         over seeds or cases.
     """
-    names = ("readings", "around", "metrics", "length", "comparison")
-    grid, around, metrics, length, comparison = (tables[name] for name in names)
+    names = ("readings", "around", "metrics", "length", "comparison", "control")
+    grid, around, metrics, length, comparison, runs = (tables[name] for name in names)
     claims = (
         ("yaw NRMSE is 4.0589 %", nrmse(grid, around, "yaw")),
         ("pitch NRMSE is 5.5889 %", nrmse(grid, around, "pitch")),
@@ -61,9 +67,11 @@ def evaluate(tables: dict[str, pd.DataFrame], models: dict) -> pd.DataFrame:
         ("simulations start from real conditions without iterative adjustment", starts(metrics)),
         ("with too few data the logarithm fails, more data mend it", few_data(length)),
         ("cost grows with the dimension, a fitting basis mitigates it", cost(grid, metrics)),
-        ("it lays the ground for control", control(models)),
+        ("it lays the ground for control", control(models, runs)),
     )
-    rows = [{"claim": f"C{i}", "statement": statement, **row} for i, (statement, row) in enumerate(claims, 1)]
+    future = (("F2", "customized control plans", customized(runs)),)
+    rows = [(f"C{i}", *claim) for i, claim in enumerate(claims, 1)] + [*future]
+    rows = [{"claim": name, "statement": statement, **row} for name, statement, row in rows]
     return pd.DataFrame(rows)[list(COLUMNS)]
 
 
@@ -293,9 +301,10 @@ def cost(grid: pd.DataFrame, metrics: pd.DataFrame) -> dict:
     return _row(verdict, quantity, [gain, math.nan, math.nan], evidence, "readings_effects")
 
 
-def control(models: dict) -> dict:
+def control(models: dict, runs: pd.DataFrame) -> dict:
     """C10: state feedback (LQR) designed on the identified field, linearised at rest, against the true plant.
 
+    ``runs`` (11_control) tells how predictive controllers with the same models fare; the verdict does not rest on them.
     The ground is the paper's own only where a linear model, if one of that name is among ``models``, does not lay it.
     """
     rest, torques = rest_point(PlantParameters()), np.zeros(2)
@@ -311,12 +320,37 @@ def control(models: dict) -> dict:
         "state feedback (LQR) designed on the identified vector field, linearised at rest, applied to the true plant "
         f"({_slowest(A):.2f} 1/s without it): {'; '.join(parts)}"
     )
+    loops = _rows(runs, reference="fast", condition="calm").sort_values("preview", kind="stable")
+    loops = loops.drop_duplicates("controller", keep="last").set_index("controller")[["yaw", "pitch"]]
+    names = [name for name in ("MPC, the paper's", "MPC, linear", "MPC, mechanical", "PID") if name in loops.index]
+    errors = ", ".join(f"{name} {_slash(loops.loc[name], '.2g')}" for name in names)
+    evidence += (
+        f"; predictive controllers on the true plant, fast multisines with preview, yaw / pitch in rad: {errors}"
+    )
     own, where = next(iter(rates.values())), "torque, linearised at rest"
     verdict = (REPRODUCED, where) if own < min(0.0, 2 * _slowest(A)) else (NOT, where)
     if verdict[0] == REPRODUCED and rates.get("linear", math.inf) <= own * BETTER:
         verdict = PARTLY, "feedback works, but a linear model lays the same ground"
     quantity = "slowest mode of the true plant under feedback from the paper's dictionary (1/s)"
     return _row(verdict, quantity, [own, min(rates.values()), max(rates.values())], evidence)
+
+
+def customized(runs: pd.DataFrame) -> dict:
+    """F2: closed loops of the true plant under controllers from identified models; `tras.paper.plans` says what counts.
+
+    Parameters
+    ----------
+    runs : pandas.DataFrame
+        One row per closed loop, as `tras.paper.control.run` gives it.
+    """
+    asked, to_plant = plans.judged(runs), plans.ratios(runs).to_numpy()
+    parts = [f"{what}: {value}, {'met' if met else 'not met'}" for what, value, met in asked.itertuples(index=False)]
+    intro = "MPC with the mechanical dictionary, identified from the paper's recording, on the true plant"
+    verdict = SHOWN if asked["met"].all() else SHOWN_IN_PART if asked["met"].any() else NOT_SHOWN
+    where = f"not met: {'; '.join(asked.loc[~asked['met'], 'asked'])}" if verdict == SHOWN_IN_PART else ""
+    quantity = "error over that of the same MPC with the true plant, worst reference and angle"
+    numbers = [to_plant.max(), to_plant.min(), to_plant.max()] if to_plant.size else [math.nan] * 3
+    return _row((verdict, where), quantity, numbers, f"{intro}: {'; '.join(parts)}", "control_tracking")
 
 
 def _slowest(matrix):
@@ -339,7 +373,7 @@ def markdown(rows):
     """The claims as Markdown, from the rows of ``claims.csv`` as dictionaries."""
     lines = [("", "the paper says", "verdict", "evidence")]
     for row in rows:
-        verdict = row["verdict"] + (f": {row['reading']}" if row["verdict"] in (NAMED, PARTLY) else "")
+        verdict = row["verdict"] + (f": {row['reading']}" if row["verdict"] in NAMING else "")
         lines.append((row["claim"], row["statement"], f"**{verdict}**", row["evidence"] + "."))
     return files.markdown_table(lines)
 
@@ -348,13 +382,14 @@ def verdicts(rows):
     """The verdicts alone as Markdown, one line per claim."""
     lines = []
     for row in rows:
-        where = f" ({row['reading']})" if row["verdict"] in (NAMED, PARTLY) else ""
+        where = f" ({row['reading']})" if row["verdict"] in NAMING else ""
         lines.append(f"* {row['claim']}: {row['statement']}. **{row['verdict'].capitalize()}**{where}.")
     return "\n".join(lines)
 
 
 def findings(rows, ranking):
     """What came out, in three sentences, from the rows of ``claims.csv`` and of ``readings_nearest.csv``."""
+    rows = [row for row in rows if row["verdict"] not in FUTURE]
     counts, angles = collections.Counter(row["verdict"] for row in rows), tuple(readings.PAPER_NRMSE)
     numbers = [*angles, *(f"{angle}_{end}" for angle in angles for end in ("lowest", "highest"))]
     ranking = pd.DataFrame(ranking)

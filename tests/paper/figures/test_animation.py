@@ -48,6 +48,20 @@ def test_what_a_film_cannot_be_made_of():
         animation.film(overlay(phi_true=np.nan))
 
 
+def test_a_reference_can_be_the_ghost():
+    table = overlay().rename(columns={"phi_koopman": "phi_reference", "psi_koopman": "psi_reference"})
+    film = animation.film(table, rate=5, ghost="reference")
+    assert list(film) == animation.columns("reference")
+    scene = animation.Scene(film, solid="rig")
+    scene.show(7)
+    assert [text.get_text() for text in scene.figure.legends[0].get_texts()] == ["rig", "reference"]
+    other = animation.Scene(animation.film(overlay(), rate=5))
+    other.show(7)
+    np.testing.assert_array_equal(drawn(scene, 3), drawn(other, 3))
+    with pytest.raises(ValueError, match="overlay lacks the columns phi_koopman"):
+        animation.film(table)
+
+
 def drawn(scene, zorder):
     """Corners (n, 2) of the rig that lies on this level."""
     (collection,) = [each for each in scene.rig.collections if each.get_zorder() == zorder]

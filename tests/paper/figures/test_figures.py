@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from tras import plotting
 from tras.explorer.figures import portrait_figure
-from tras.paper.figures import comparison, drawings, paper, readings, robustness
+from tras.paper.figures import comparison, control, drawings, paper, readings, robustness
 from tras.twin_rotor import drawing as rig
 
 FIGURES = ROOT / "figures"
@@ -60,6 +60,8 @@ DATA_FIGURES = {
     "eigenfunctions": robustness.eigenfunctions_figure,
     "parameters": robustness.parameters_figure,
     "portrait": portrait_figure,
+    "control_tracking": control.tracking_figure,
+    "control_disturbance": control.disturbance_figure,
 }
 CASES = pytest.mark.parametrize(
     "case", [rig_case, method_case, *(redrawn(draw, name) for name, draw in DATA_FIGURES.items())]
@@ -119,6 +121,29 @@ def test_where_no_run_gave_a_model_the_curve_has_a_gap():
     table.loc[(table["method"] == "plain") & (table["noise"] > 0), "nrmse"] = np.nan
     curve = robustness.noise_figure(table).axes[0].lines[0].get_ydata()
     assert np.isfinite(curve[0]) and np.isnan(curve[1:]).all()
+
+
+def test_times_stand_beside_the_sampling_time():
+    rng = np.random.default_rng(0)
+    table = pd.DataFrame({"controller": ["MPC, a"] * 90 + ["MPC, b"] * 90, "seconds": rng.lognormal(-6, 0.3, 180)})
+    figure = control.times_figure(table, 0.01)
+    assert [panel.get_ylabel() for panel in figure.axes] == ["a", "b"]
+    for panel in figure.axes:
+        assert panel.lines[0].get_xdata()[0] == pytest.approx(10) and panel.get_xlim()[1] > 10
+        assert sum(bar.get_height() for bar in panel.patches) == 90
+
+
+def test_torques_stand_within_their_limits_and_angles_beside_their_reference():
+    table = pd.read_csv(FIGURES / "control_tracking.csv")
+    figure = control.tracking_figure(table)
+    for panel, name in zip(figure.axes, ("phi", "psi", "u_phi", "u_psi"), strict=True):
+        curves = [line.get_ydata() for line in panel.lines]
+        if name.startswith("u_"):
+            low, high = (curve[0] for curve in curves[-2:])
+            assert all(low - 1e-9 <= curve.min() and curve.max() <= high + 1e-9 for curve in curves[:-2])
+        else:
+            first = table[table["controller"] == table["controller"].iloc[0]]
+            assert np.array_equal(curves[-1], first[f"{name}_reference"])
 
 
 # ------------------------------------------------------------------------------------------------------------ the rig

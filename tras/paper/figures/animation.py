@@ -1,4 +1,4 @@
-"""The rig in motion: the truth, the prediction as a ghost, and both angles below.
+"""The rig in motion: the truth, a prediction or a reference as a ghost, and both angles below.
 
 A `film` is a table of both motions; `gif` writes it to a file, always with the same bytes, which are `gif_bytes`.
 """
@@ -15,37 +15,44 @@ from tras.plotting import MODEL, TRUTH, require, styled
 from tras.twin_rotor.drawing import MASSES, STATIC, draw_rig, rig_geometry
 from tras.workflow.files import replacing
 
-COLUMNS = ["time", "phi_true", "psi_true", "phi_koopman", "psi_koopman"]
+GHOSTS = {"koopman": "Koopman model", "reference": "reference"}  # ending of its columns -> its name in the legend
 GHOST = "#56B4E9"
 SIZE = (4.4, 4.2)  # inches
 DPI = 100
 COLOURS = 40  # of the GIF's one palette
 
 
-def film(overlay: pd.DataFrame, *, rate: float = 10.0) -> pd.DataFrame:
+def columns(ghost: str = "koopman") -> list[str]:
+    """What a film's table holds: time in s, and angles in rad of the truth and of the ghost."""
+    return ["time", "phi_true", "psi_true", f"phi_{ghost}", f"psi_{ghost}"]
+
+
+def film(overlay: pd.DataFrame, *, rate: float = 10.0, ghost: str = "koopman") -> pd.DataFrame:
     """The frames of an animation: the table's rows nearest to their times. NaN from where a prediction diverged.
 
     Parameters
     ----------
     overlay : pandas.DataFrame
-        `COLUMNS`: ``time`` in s, angles in rad, for example from `tras.paper.validation.overlay`.
+        Its `columns`, for example from `tras.paper.validation.overlay`.
     rate : float
         Frames per second; the film runs in real time.
+    ghost : str
+        Which columns are the ghost's, one of `GHOSTS`.
 
     Raises
     ------
     ValueError
         If a column is missing, the truth is not finite, or ``rate`` is not positive.
     """
-    require(overlay, "overlay", COLUMNS)
+    require(overlay, "overlay", columns(ghost))
     if not (np.isfinite(rate) and rate > 0):
         raise ValueError(f"rate is {rate!r}; give frames per second, for example 10.")
-    if not np.isfinite(overlay[COLUMNS[:3]].to_numpy()).all():
+    if not np.isfinite(overlay[columns(ghost)[:3]].to_numpy()).all():
         raise ValueError("overlay holds NaN or infinity in the truth or the time; leave those samples out.")
     time = overlay["time"].to_numpy()
     frames = np.arange(time[0], time[-1] + 0.5 / rate, 1 / rate)
     nearest = np.unique(np.abs(time[:, None] - frames).argmin(axis=0))
-    return overlay[COLUMNS].iloc[nearest].reset_index(drop=True)
+    return overlay[columns(ghost)].iloc[nearest].reset_index(drop=True)
 
 
 class Scene:
@@ -55,13 +62,16 @@ class Scene:
     ----------
     table : pandas.DataFrame
         From `film`.
-    label : str
-        Name of the ghost in the legend.
+    label : str, optional
+        Name of the ghost in the legend; default that of `GHOSTS`.
+    solid : str
+        Name of the rig that is no ghost.
     """
 
     @styled()
-    def __init__(self, table: pd.DataFrame, label: str = "Koopman model"):
-        require(table, "table", COLUMNS)
+    def __init__(self, table: pd.DataFrame, label: str | None = None, solid: str = "truth"):
+        self.ghost = next((name for name in GHOSTS if f"phi_{name}" in table), next(iter(GHOSTS)))
+        require(table, "table", columns(self.ghost))
         self.table, self._moving = table, []
         self.figure = Figure(figsize=SIZE, dpi=DPI)
         FigureCanvasAgg(self.figure)
@@ -71,12 +81,12 @@ class Scene:
         self.rig.set_autoscale_on(False)
         draw_rig(self.rig, rig_geometry(0.0, 0.0), parts=STATIC, zorder=1)
         self.angles = [self.figure.add_axes((0.095, low, 0.885, 0.1)) for low in (0.245, 0.085)]
-        _angle_panel(self.angles[0], table, "psi", r"yaw $\psi$ (rad)")
-        _angle_panel(self.angles[1], table, "phi", r"pitch $\phi$ (rad)")
+        _angle_panel(self.angles[0], table, "psi", self.ghost, r"yaw $\psi$ (rad)")
+        _angle_panel(self.angles[1], table, "phi", self.ghost, r"pitch $\phi$ (rad)")
         self.angles[0].tick_params(labelbottom=False)
         self.angles[1].set_xlabel("time (s)", labelpad=1)
         handles = [self.angles[0].plot([], [], **TRUTH)[0], self.angles[0].plot([], [], **MODEL)[0]]
-        self.figure.legend(handles, ["truth", label], loc="upper left", bbox_to_anchor=(0.01, 0.99))
+        self.figure.legend(handles, [solid, label or GHOSTS[self.ghost]], loc="upper left", bbox_to_anchor=(0.01, 0.99))
 
     @styled()
     def show(self, frame: int) -> list:
@@ -85,8 +95,9 @@ class Scene:
             artist.remove()
         row = self.table.iloc[frame]
         self._moving = []
-        if np.isfinite([row["phi_koopman"], row["psi_koopman"]]).all():
-            ghost = rig_geometry(float(row["phi_koopman"]), float(row["psi_koopman"]))
+        angles = [float(row[f"{angle}_{self.ghost}"]) for angle in ("phi", "psi")]
+        if np.isfinite(angles).all():
+            ghost = rig_geometry(*angles)
             look = {"alpha": 0.35, "colours": dict.fromkeys(ghost["part"].unique(), GHOST), "edgecolor": MODEL["color"]}
             self._moving += draw_rig(self.rig, ghost, parts=_moving_parts(ghost), zorder=3, **look)
         truth = rig_geometry(float(row["phi_true"]), float(row["psi_true"]))
@@ -111,7 +122,9 @@ def gif(table: pd.DataFrame, path: str | Path, **options) -> Path:
     return Path(path)
 
 
-def gif_bytes(table: pd.DataFrame, *, label: str = "Koopman model", rate: float = 10.0, progress=None) -> bytes:
+def gif_bytes(
+    table: pd.DataFrame, *, label: str | None = None, solid: str = "truth", rate: float = 10.0, progress=None
+) -> bytes:
     """A `film` as an animated GIF in a loop; the same film gives the same bytes on the same machine.
 
     All frames share one palette, so that the static parts do not flicker and take no space.
@@ -120,8 +133,8 @@ def gif_bytes(table: pd.DataFrame, *, label: str = "Koopman model", rate: float 
     ----------
     table : pandas.DataFrame
         From `film`.
-    label : str
-        Name of the ghost in the legend.
+    label, solid : str, optional
+        As for `Scene`.
     rate : float
         Frames per second, as for `film`; GIF counts hundredths of a second, so 10, 12.5, 20 and 25 are exact.
     progress : text stream, optional
@@ -130,7 +143,7 @@ def gif_bytes(table: pd.DataFrame, *, label: str = "Koopman model", rate: float 
     from PIL import Image
     from tqdm import tqdm
 
-    scene = Scene(table, label)
+    scene = Scene(table, label, solid)
     numbers = tqdm(range(len(table)), desc="frames", file=progress, disable=progress is None)
     frames = [Image.fromarray(scene.pixels(k)) for k in numbers]
     sample = frames[:: max(1, len(frames) // 6)]
@@ -148,8 +161,8 @@ def gif_bytes(table: pd.DataFrame, *, label: str = "Koopman model", rate: float 
     return target.getvalue()
 
 
-def _angle_panel(panel, table, angle, name):
-    true, predicted = table[f"{angle}_true"], table[f"{angle}_koopman"]
+def _angle_panel(panel, table, angle, ghost, name):
+    true, predicted = table[f"{angle}_true"], table[f"{angle}_{ghost}"]
     panel.plot(table["time"], predicted, **MODEL)
     panel.plot(table["time"], true, **TRUTH, zorder=3)
     margin = max(np.ptp(true), 0.3)  # a prediction that diverges must not squeeze the truth to a line
