@@ -23,6 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 import tras  # noqa: E402
+from tras.dictionaries.base import label  # noqa: E402
 from tras.solver.threads import one_blas_thread  # noqa: E402
 from tras.twin_rotor.rotor_parameters import RotorParameters  # noqa: E402
 from tras.twin_rotor.rotors import equations_of_motion  # noqa: E402
@@ -45,8 +46,9 @@ COARSE = 5  # samples of an integration step of the grey box
 RECENT = 40  # samples from which it takes angles and rates at the start
 ORDERS = (1, 2, 4, 8, 16, 32)
 PERSISTENCE, MAKER, REFITTED = "stays where it is", "maker's model", "refitted grey box"
-ARX, LINEAR, IDENTIFY = "ARX", "linear model of identify", "identify"
-METHODS = (PERSISTENCE, MAKER, REFITTED, ARX, LINEAR, IDENTIFY)
+ARX, LINEAR, IDENTIFY, LONGER = "ARX", "linear model of identify", "identify", "identify, DELAYS=8"
+METHODS = (PERSISTENCE, MAKER, REFITTED, ARX, LINEAR, IDENTIFY, LONGER)
+DELAYS = 8  # of the last: half the window at steps of 0.2 s
 
 
 def main(arguments=None):
@@ -62,7 +64,7 @@ def main(arguments=None):
     for fold in map(int, options.folds.split(",")):
         with one_blas_thread():
             rows += one_fold(log, fold, options.every or None)
-        print(pd.DataFrame(rows).query("fold == @fold").to_string(index=False), flush=True)
+        print(pd.DataFrame(rows).query("fold == @fold + 1").to_string(index=False), flush=True)
     table = pd.DataFrame(rows)
     if options.publish:
         table.to_csv(TABLE, index=False, float_format="%.4g")
@@ -97,13 +99,17 @@ def one_fold(log, fold, every):
     begun = time.process_time()
     arx = best_arx(train)
     add(ARX, lambda k: roll_out(arx, test, k), f"{arx.delays + 1} samples, lead {arx.lead}", begun)
-    begun = time.process_time()
-    identification = tras.identify(train, horizon=WINDOW * log.dt, every=every, draws=0)
-    for method, model in ((LINEAR, identification.linear), (IDENTIFY, identification.delivered)):
-        if method == LINEAR:  # like the delivered one, fitted to all that is no test here
-            model = clone(model).set_params(strength=float(model.strength_)).fit(stepped(train, model))
-        words = f"{tras.dictionaries.base.label(model)}, {model.predictor}, step {model.dt_:.2g} s"
-        add(method, lambda k, model=model: roll_out(model, test, k), words, begun)
+    for method, delays in ((IDENTIFY, None), (LONGER, [DELAYS])):
+        begun = time.process_time()
+        identification = tras.identify(train, horizon=WINDOW * log.dt, every=every, delays=delays, draws=0)
+        models = {method: identification.delivered}
+        if method == IDENTIFY:  # like the delivered one, the linear one is fitted to all that is no test here
+            linear = identification.linear
+            linear = clone(linear).set_params(strength=float(linear.strength_)).fit(stepped(train, linear))
+            models[LINEAR] = linear
+        for name, model in models.items():
+            words = f"{label(model)}, {model.predictor}, lead {model.lead}, step {model.dt_:.2g} s"
+            add(name, lambda k, model=model: roll_out(model, test, k), words, begun)
     return rows
 
 
@@ -235,7 +241,7 @@ def publish(table, signals):
     for name, lines in (("rig", tables(table)), ("bounds", signals)):
         begin, end = f"<!-- {name}: written by `benchmarks/real_rig.py` -->", f"<!-- end of {name} -->"
         before, after = text[: text.index(begin) + len(begin)], text[text.index(end) :]
-        text = f"{before}\n{lines}\n{after}"
+        text = f"{before}\n\n{lines}\n\n{after}"
     PAGE.write_text(text, encoding="utf-8")
 
 
