@@ -56,6 +56,7 @@ class Study:
     test_duration: float = 60.0
     effect_duration: float = 200.0
     sampling_time: float = 0.01
+    skip: float = 5.0
     trajectory: float = 5.0
     window: float = 6.0
     train_seed: int = 1
@@ -97,7 +98,9 @@ def _one(s, rig, seed, test, gust, amplitude, duration):
     signal = excitation.multisine(duration, dt, [s.test_frequency] * 2, [1.0, 1.0], rng, draws=20)
     wind = gusts(duration, dt, s.gust, s.gust_time, rng) if gust else None
     reference = reference + [s.pitch, 0.0]
-    return simulate_motor_loop(reference, dt, rig, test_signal=amplitude * signal, gusts=wind)
+    log = simulate_motor_loop(reference, dt, rig, test_signal=amplitude * signal, gusts=wind)
+    moving = round(s.skip / dt)  # the rig has come up from rest, and is on its reference as in the paper's experiment
+    return log.with_data([x[moving:] for x, _ in log], [u[moving:] for _, u in log])
 
 
 def run(study: Study, folder: Path | None = None, *, processes: int = 2, progress=None) -> dict[str, pd.DataFrame]:
