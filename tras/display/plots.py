@@ -258,7 +258,7 @@ def residual_figure(table: pd.DataFrame, significance: float = 0.01) -> Figure:
     """
     require(table, "table", ["state", "against", "lag", "correlation", "bound", "tested"])
     states, others = list(dict.fromkeys(table["state"]))[:MOST], list(dict.fromkeys(table["against"]))[:MOST]
-    table = table[table["state"].isin(states) & table["against"].isin(others)]
+    table = table.loc[table["state"].isin(states) & table["against"].isin(others)]
     rows, columns = len(states), len(others)
     figure, panels = new_figure(
         0.8 * rows + 0.75, rows, columns, formulas=False, sharex="col", sharey=True, squeeze=False
