@@ -264,8 +264,9 @@ def residual_figure(table: pd.DataFrame, significance: float = 0.01) -> Figure:
         0.8 * rows + 0.75, rows, columns, formulas=False, sharex="col", sharey=True, squeeze=False
     )
     figure.set_figwidth(WIDTH * max(1, columns / 3))
-    judged = table[table["tested"]]
-    reach = 1.15 * np.nanmax([judged["correlation"].abs().max(), 1.5 * judged["bound"].max(), 1e-3])
+    judged = table.loc[table["tested"]]
+    correlation, bound = (np.asarray(judged[key], dtype=float) for key in ("correlation", "bound"))
+    reach = 1.15 * np.nanmax(np.concatenate([np.abs(correlation), 1.5 * bound, [1e-3]]))
     panels[0, 0].set_ylim(-reach, reach)  # lags that are not tested may leave the frame
     for state, row in zip(states, panels):
         for other, panel in zip(others, row):
