@@ -272,7 +272,10 @@ def test_an_identification_shows_itself():
     text = result._repr_html_()
     ElementTree.fromstring(text)
     assert text.count("<table") == 1 and "the model misses the test data by" in text
-    assert repr(result).startswith("Identification: Mechanical(degree=3") and len(repr(result)) < 500
+    assert (
+        repr(result).startswith(f"Identification: {type(result.model.dictionary).__name__}(degree=3")
+        and len(repr(result)) < 500
+    )
     figure = result.plot()
     assert [panel.get_ylabel() for panel in figure.axes[::2]] == ["q (m)", "qdot (m/s)"]
 
