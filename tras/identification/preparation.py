@@ -20,7 +20,7 @@ _STILL_MOVES = 0.5  # the same of what is learnt from
 _MOVES = 0.2  # standard deviation of a state in the test over that in the whole recording, at least, if it can be had
 _SPIKE = 0.3  # of the range of the others: how far a lone sample is from both of its neighbours
 _RARE = 0.005  # share of such samples, at most
-_LOUD = 1 / 40  # noise over what a state moves within a sample, from which on longer steps are tried
+_LOUD = 1 / 30  # noise over what a state moves within a sample, from which on longer steps are tried
 _COARSE = 0.3  # what a state moves within a step, in standard deviations, at most
 _STEPS = 500  # pairs that longer steps must leave
 _FINE = 2e-4  # noise, as a fraction of the range, that is not worth smoothing away
@@ -92,7 +92,7 @@ def steps(recording: Recording, samples: int) -> list[int]:
     """Lengths of a model's step to try, in samples: 1, and longer ones where the recording is finer than it need be.
 
     A fit of single steps tells the motion from the noise by what the states move within a step. Where that is less than
-    forty times the noise, the longest step is tried over which no state moves by more than 0.3 standard deviations (20
+    thirty times the noise, the longest step is tried over which no state moves by more than 0.3 standard deviations (20
     steps per period of a sine), and a quarter of it. It leaves eight steps to a window of ``samples``.
     """
     if recording.lengths.max() < 10:
