@@ -110,7 +110,7 @@ help: # this text
 
 setup: $(READY) ## maintain | 1 min | create .venv from environment.txt (the other targets do it by themselves)
 
-all: stages ## replicate | 15 min | everything: data, models, figures, further studies; prints the table
+all: stages ## replicate | 20 min | everything: data, models, figures, further studies; prints the table
 	@$(PY) -m tras.paper.pages table --figures $(FIGURES) $(if $(filter paper,$(PROFILE)),--check)
 
 stages: $(STAMPS) $(OUTPUTS)
@@ -152,7 +152,7 @@ lint: $(READY) ## maintain | 1 s | ruff, as configured in pyproject.toml
 check: lint ## maintain | 2 min | for a developer: lint, layers, and every test that is not slow
 	@MPLBACKEND=Agg $(PY) -m pytest -q -x -m "not slow"
 
-test: $(READY) ## maintain | 14 min | unit tests, then every notebook of the small profile rerun and compared
+test: $(READY) ## maintain | 18 min | unit tests, then every notebook of the small profile rerun and compared
 	@failed=; \
 	MPLBACKEND=Agg $(PY) -m pytest || failed="unit tests"; \
 	$(MAKE) PROFILE=smoke stages \
