@@ -1,7 +1,9 @@
 """Shared recordings, made once: the real pipeline at a small size."""
 
 import os
+import re
 import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -142,6 +144,37 @@ def ode_recording(field, dt, *, n, m=0, trajectories=40, samples=21, size=1.0, s
             )
             x[i, k + 1] = flow.y[:, -1]
     return tras.Recording(x, u, dt)
+
+
+def for_make():
+    """The environment without what a make around the tests says to those that the tests start."""
+    return {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
+
+
+def make_files(folder):
+    """What make needs besides packages and notebooks, copied into a folder."""
+    for name in ("Makefile", "pyproject.toml", "environment.txt", "environment-build.txt"):
+        shutil.copy(ROOT / name, folder)
+
+
+def checkout_in(folder, *names, commands=()):
+    """A copy of the checkout's folders of these names with this environment, in which commands of a page have run."""
+    if not list((ROOT / ".venv").glob(".ready-*")):
+        pytest.skip("make setup has not run")
+    make_files(folder)
+    for name in names:
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    (folder / ".venv").symlink_to(ROOT / ".venv")
+    for command in commands:
+        words = ["bash", "-e", "-c", command]
+        done = subprocess.run(words, cwd=folder, env=for_make(), capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    return folder
+
+
+def code_blocks(page, language):
+    """The blocks of a language in a page of Markdown."""
+    return re.findall(rf"^```{language}\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
 
 
 def visible_texts(figure):

@@ -1,7 +1,5 @@
 """`tras control` and docs/control.md: its commands run as they stand there, wrong input is one sentence."""
 
-import os
-import re
 import shutil
 import subprocess
 
@@ -9,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from conftest import HOSTILE, ROOT
+from conftest import HOSTILE, ROOT, checkout_in, code_blocks
 
 import tras
 from tras.control import command
@@ -18,10 +16,6 @@ from tras.control.page import warnings
 
 PAGE = (ROOT / "docs" / "control.md").read_text(encoding="utf-8")
 CC = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-
-
-def blocks(language):
-    return re.findall(rf"^```{language}\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
 
 
 @pytest.fixture(scope="module")
@@ -50,20 +44,9 @@ def quick(tmp_path):
 @pytest.fixture(scope="module")
 def checkout(tmp_path_factory):
     """What make needs, with this environment; the commands of the page have run in it."""
-    if not list((ROOT / ".venv").glob(".ready-*")):
-        pytest.skip("make setup has not run")
     folder = tmp_path_factory.mktemp("checkout")
-    for name in ("Makefile", "pyproject.toml", "environment.txt", "environment-build.txt"):
-        shutil.copy(ROOT / name, folder)
-    for name in ("tras", "notebooks"):
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
-    (folder / ".venv").symlink_to(ROOT / ".venv")
-    (folder / "mine.yaml").write_text(blocks("yaml")[0])
-    environment = {key: value for key, value in os.environ.items() if not key.startswith(("MAKE", "MFLAGS"))}
-    for block in blocks("sh"):
-        done = subprocess.run(["bash", "-e", "-c", block], cwd=folder, env=environment, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-    return folder
+    (folder / "mine.yaml").write_text(code_blocks(PAGE, "yaml")[0])
+    return checkout_in(folder, "tras", "notebooks", commands=code_blocks(PAGE, "sh"))
 
 
 @pytest.mark.slow
@@ -79,7 +62,7 @@ def test_the_commands_of_the_page(checkout):
     assert run["force"].abs().max() <= 2 and run["force"].diff().abs().max() <= 20 * 0.05 + 1e-9
     assert run["qdot"].abs().max() <= 1.6
     settings = yaml.safe_load((folder / "settings.yaml").read_text())
-    given = yaml.safe_load(blocks("yaml")[0])
+    given = yaml.safe_load(code_blocks(PAGE, "yaml")[0])
     assert {name: settings[name] for name in given} == given
 
 
@@ -88,12 +71,12 @@ def test_the_python_and_the_c_of_the_page(checkout, monkeypatch):
     pytest.importorskip("daqp", reason="the extra control is not installed")
     monkeypatch.chdir(checkout)
     names = {}
-    exec(blocks("python")[0], names)
+    exec(code_blocks(PAGE, "python")[0], names)
     assert names["u"].shape == (1,) and abs(names["u"][0]) <= 2
     if CC is None:
         pytest.skip("no C compiler (cc, gcc, clang) is installed, so the generated C cannot be compiled here")
     folder = checkout / "build" / "control" / "mine"
-    (checkout / "main.c").write_text(blocks("c")[0])
+    (checkout / "main.c").write_text(code_blocks(PAGE, "c")[0])
     flags = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", f"-I{folder}"]
     command = [CC, *flags, "main.c", str(folder / "controller.c"), "-o", "main", "-lm"]
     done = subprocess.run(command, capture_output=True, text=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from conftest import ROOT
+from conftest import ROOT, make_files
 
 pytestmark = pytest.mark.slow
 PATIENCE = 60_000  # ms: a busy machine is slow, not wrong
@@ -22,8 +22,7 @@ def checkout(tmp_path_factory):
     folder = tmp_path_factory.mktemp("checkout")
     for name in ("notebooks", "params", "tras", "docs"):
         shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__", ".ipynb_checkpoints"))
-    for name in ("Makefile", "pyproject.toml", "environment.txt", "environment-build.txt"):
-        shutil.copy(ROOT / name, folder / name)
+    make_files(folder)
     (folder / ".venv").symlink_to(sys.prefix)
     return folder
 

@@ -12,7 +12,7 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import HOSTILE, ROOT
+from conftest import HOSTILE, ROOT, checkout_in, code_blocks, for_make
 
 import tras
 from tras.identification import command
@@ -23,32 +23,16 @@ PAGE = (ROOT / "docs" / "own_rig.md").read_text()
 NAME = "{http://www.w3.org/1999/xhtml}"
 
 
-def blocks(language):
-    return re.findall(rf"^```{language}\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
-
-
 @pytest.fixture(scope="module")
 def checkout(tmp_path_factory):
     """What make needs, with this environment; the commands of the page have run in it."""
-    if not list((ROOT / ".venv").glob(".ready-*")):
-        pytest.skip("make setup has not run")
     folder = tmp_path_factory.mktemp("checkout")
-    for name in ("Makefile", "pyproject.toml", "environment.txt", "environment-build.txt"):
-        shutil.copy(ROOT / name, folder)
-    for name in ("tras", "notebooks"):
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
-    (folder / ".venv").symlink_to(ROOT / ".venv")
-    environment = {key: value for key, value in os.environ.items() if not key.startswith(("MAKE", "MFLAGS"))}
-    for block in blocks("sh"):
-        done = subprocess.run(["bash", "-e", "-c", block], cwd=folder, env=environment, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-    return folder
+    return checkout_in(folder, "tras", "notebooks", commands=code_blocks(PAGE, "sh"))
 
 
 def make(folder, *arguments):
     """`make identify` with these arguments."""
-    environment = {key: value for key, value in os.environ.items() if not key.startswith(("MAKE", "MFLAGS"))}
-    return subprocess.run(["make", "identify", *arguments], cwd=folder, env=environment, capture_output=True, text=True)
+    return subprocess.run(["make", "identify", *arguments], cwd=folder, env=for_make(), capture_output=True, text=True)
 
 
 @pytest.mark.slow
@@ -94,7 +78,7 @@ def test_the_page_is_whole_and_needs_no_network(checkout):
 def test_the_python_of_the_page(checkout, monkeypatch, capsys):
     monkeypatch.chdir(checkout)
     names = {}
-    for block in blocks("python"):
+    for block in code_blocks(PAGE, "python"):
         exec(block, names)  # noqa: S102
     assert names["states"].shape == (501, 2) and (names["lower"] <= names["upper"]).all()
     assert "Advice" in capsys.readouterr().out
@@ -208,9 +192,8 @@ def alone(tmp_path):
 
 def arguments_of(folder, *words, **variables):
     """What `make identify` hands to the command."""
-    environment = {key: value for key, value in os.environ.items() if not key.startswith(("MAKE", "MFLAGS"))}
     command_line = ["make", "identify", *words]
-    done = subprocess.run(command_line, cwd=folder, env=environment | variables, capture_output=True)
+    done = subprocess.run(command_line, cwd=folder, env=for_make() | variables, capture_output=True)
     assert done.returncode == 0 and not done.stderr, done.stderr
     return done.stdout.decode().split("\0")[2:-1]  # after -m and the module
 

@@ -8,14 +8,13 @@ import hashlib
 import json
 import os
 import re
-import shutil
 import signal
 import subprocess
 from pathlib import Path
 
 import nbformat
 import pytest
-from conftest import ROOT
+from conftest import ROOT, for_make, make_files
 from test_runner import running, wait_for, write_notebook
 
 STAGES = ("01_data_generation", "02_identification")
@@ -51,8 +50,7 @@ def small(folder):
     if not list((ROOT / ".venv").glob(".ready-*")):
         pytest.skip("make setup has not run")
     (folder / "params").mkdir(parents=True)
-    for name in ("Makefile", "pyproject.toml", "environment.txt", "environment-build.txt"):
-        shutil.copy(ROOT / name, folder)
+    make_files(folder)
     for name in (".venv", "tras"):
         (folder / name).symlink_to(ROOT / name)
     (folder / "params" / "small.yaml").write_text("".join(f"{stage}:\n  figures_dir: figures\n" for stage in STAGES))
@@ -69,12 +67,11 @@ def small(folder):
 
 def make(folder, *options, stages=STAGES, **variables):
     """A process of make, in a session of its own, that builds the stages."""
-    outside = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
     heed = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)  # noqa: E731  a test run in the background ignores it
     targets = [f"build/small/{stage}.ipynb" for stage in stages]
     umask = variables.pop("umask", -1)
     return subprocess.Popen(
-        ["make", "PROFILE=small", *options, *targets], cwd=folder, env=outside | variables, umask=umask,
+        ["make", "PROFILE=small", *options, *targets], cwd=folder, env=for_make() | variables, umask=umask,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True, preexec_fn=heed,
     )  # fmt: skip
 

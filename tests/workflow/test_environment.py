@@ -9,7 +9,7 @@ import sys
 
 import nbformat
 import pytest
-from conftest import ROOT
+from conftest import ROOT, for_make
 from test_runner import run, write_notebook
 
 import tras
@@ -77,9 +77,8 @@ def test_make_hands_none_of_it_on(hostile):
     """The threads, the hash seed and Matplotlib's file are make's own; the rest is not there."""
     odd = {"OPENBLAS_NUM_THREADS": "7", "OPENBLAS_CORETYPE": "Nehalem", "NPY_DISABLE_CPU_FEATURES": "AVX2",
            "PYTHONHASHSEED": "5", "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2", "OMP_THREAD_LIMIT": "1"}  # fmt: skip
-    outside = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
     show = ["make", "--no-print-directory", "--eval=show-environment: ; @env", "show-environment"]
-    done = subprocess.run(show, cwd=ROOT, env=outside | hostile | odd, capture_output=True, text=True, check=True)
+    done = subprocess.run(show, cwd=ROOT, env=for_make() | hostile | odd, capture_output=True, text=True, check=True)
     inside = dict(line.split("=", 1) for line in done.stdout.splitlines() if "=" in line)
     assert {name: inside.get(name) for name in environment.PINNED} == environment.PINNED
     assert inside["MATPLOTLIBRC"] == os.devnull
@@ -90,7 +89,9 @@ def test_make_hands_none_of_it_on(hostile):
 def test_what_is_said_to_make_itself_stays():
     """``make OPENBLAS_CORETYPE=Haswell verify`` is how to verify with the kernels for another processor."""
     show = ["make", "--no-print-directory", "--eval=show-environment: ; @env", "show-environment"]
-    done = subprocess.run([*show, "OPENBLAS_CORETYPE=Haswell"], cwd=ROOT, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [*show, "OPENBLAS_CORETYPE=Haswell"], cwd=ROOT, env=for_make(), capture_output=True, text=True, check=True
+    )
     assert "OPENBLAS_CORETYPE=Haswell" in done.stdout.splitlines()
 
 
