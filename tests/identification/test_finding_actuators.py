@@ -55,9 +55,9 @@ def test_what_only_follows_or_only_drives_is_none():
 def test_names_decide_over_numbers():
     log = motor_and_body(force=0.0)
     log.attributes["actuators"] = ["w"]
-    assert find_actuators(log, PAIRS) == ["w"] and driven(log, PAIRS, 3).actuators == [2]
+    assert find_actuators(log, PAIRS) == ["w"] and driven(log, PAIRS, find_actuators(log, PAIRS), 3).actuators == [2]
     log.attributes["actuators"] = []
-    assert find_actuators(log, PAIRS) == [] and driven(log, PAIRS, 3) is None
+    assert find_actuators(log, PAIRS) == [] and driven(log, PAIRS, find_actuators(log, PAIRS), 3) is None
     log.attributes["actuators"] = ["v"]
     with pytest.raises(ValueError, match="actuators: 'v' is no state that can be one; these can: w."):
         find_actuators(log, PAIRS)

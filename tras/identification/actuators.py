@@ -138,12 +138,17 @@ def _unexplained(columns, target):
     return (rest @ rest / total if total > 0 else 1.0), weights
 
 
-def driven(recording: Recording, pairs: Sequence[tuple[str, str]], degree: int, shape: str | None = None):
+def driven(
+    recording: Recording,
+    pairs: Sequence[tuple[str, str]],
+    actuators: Sequence[str],
+    degree: int,
+    shape: str | None = None,
+) -> Mechanical | None:
     """`tras.Mechanical` of a recording's positions, velocities and actuators; None if a state is neither.
 
     ``shape`` is the name of the position that inertia and gravity depend on; by default the first one.
     """
-    actuators = find_actuators(recording, pairs)
     if not pairs or recording.n != 2 * len(pairs) + len(actuators):
         return None
     number = recording.state_names.index

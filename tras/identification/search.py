@@ -68,8 +68,8 @@ def candidates(recording: Recording, predictor: str = "vector_field", delays: in
     dictionaries = _dictionaries(recording, delays, predictor, (1, 2, 3, 4), (50, 200), min(500, recording.pairs // 2))
     if not delays and predictor != "lifted_linear":
         pairs = preparation.velocity_pairs(recording, preparation.memory(recording))
-        if find_actuators(recording, pairs):
-            dictionaries += filter(None, [driven(recording, pairs, 8)])
+        if actuators := find_actuators(recording, pairs):
+            dictionaries += filter(None, [driven(recording, pairs, actuators, 8)])
         elif recording.n % 2 == 0:
             dictionaries.append(Mechanical())
     return [KoopmanModel(dictionary, predictor, delays) for dictionary in dictionaries]
@@ -455,9 +455,10 @@ def _dictionaries_of(train, delays, pairs, predictor):
     dictionaries = _dictionaries(train, delays, predictor, (1, 2, 3, 4, 5), (30, 100, 250), most)
     if not delays and predictor != "lifted_linear":
         # Each position in turn as the one that inertia and gravity depend on.
-        degrees = (8,) if find_actuators(train, pairs) else (3, 8)  # with actuators there are many functions
+        actuators = find_actuators(train, pairs)
+        degrees = (8,) if actuators else (3, 8)  # with actuators there are many functions
         shapes = [(degree, position) for degree in degrees for position, _ in pairs[:4]]
-        dictionaries += filter(None, (driven(train, pairs, degree, shape) for degree, shape in shapes))
+        dictionaries += filter(None, (driven(train, pairs, actuators, degree, shape) for degree, shape in shapes))
     return dictionaries
 
 
