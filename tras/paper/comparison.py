@@ -34,7 +34,7 @@ from tras.recording import Recording, join
 from tras.twin_rotor.closed_loop import INPUTS
 from tras.twin_rotor.plant import STATE_PAIRS
 from tras.workflow import cache, provenance
-from tras.workflow.study import compute
+from tras.workflow.study import compute, require_known
 
 TRIES = 6
 METHODS = {
@@ -94,10 +94,7 @@ def jobs(study: Study, only: list[dict] | None = None) -> list[dict]:
 
     ``only``: those that fit one of some dicts option -> choices, for example ``[{"method": ("NARX",)}]``.
     """
-    for option, known in (("methods", METHODS), ("data_inputs", INPUTS)):
-        for name in getattr(study, option):
-            if name not in known:
-                raise ValueError(f"{option} holds {name!r}; choose among {', '.join(known)}.")
+    require_known(study, methods=METHODS, data_inputs=INPUTS)
     plain = {"noise": 0.0, "smoothed": False, "fraction": 1.0}
     conditions = [{"input": name, **plain} for name in INPUTS]
     for name in study.data_inputs:

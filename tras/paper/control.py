@@ -20,7 +20,7 @@ from tras.twin_rotor.excitation import multisine
 from tras.twin_rotor.gusts import gusts
 from tras.twin_rotor.plant import LUMPED, STATE_NAMES, PlantParameters
 from tras.workflow import cache
-from tras.workflow.study import compute
+from tras.workflow.study import compute, require_known
 
 ANGLES = {"yaw": 2, "pitch": 0}  # their places among the states; references hold pitch, then yaw
 MODELS = ("linear", "lifted linear", "the paper's", "cubic", "mechanical")
@@ -84,10 +84,7 @@ class Study:
     controllers: tuple[str, ...] = tuple(CONTROLLERS)
 
     def __post_init__(self):
-        for option, known in (("controllers", CONTROLLERS), ("changed", LUMPED)):
-            for name in getattr(self, option):
-                if name not in known:
-                    raise ValueError(f"{option} holds {name!r}; choose among {', '.join(known)}.")
+        require_known(self, controllers=CONTROLLERS, changed=LUMPED)
         if not self.sampling_time < self.skip <= min(self.duration, self.rig_duration) / 2:
             raise ValueError(f"skip is {self.skip} s; give more than a sample and at most half of each run.")
 

@@ -387,7 +387,7 @@ class _PIDPair:
 
     def __init__(self, pair, reference, dt, rig, x0):
         batch = reference.shape[:-2]
-        functions, clip = (np, np.clip) if batch else (math, _clip)
+        functions, clip = (np, np.clip) if batch else (math, clip_float)
         reference = np.ascontiguousarray(np.moveaxis(reference, (-2, -1), (0, 1)))
         self.reference = reference if batch else reference.tolist()
         self.integrals = [0.0, 0.0]
@@ -395,7 +395,7 @@ class _PIDPair:
             phi, psi = self.reference[0]
             balance = (rig.G_c * functions.cos(phi) + rig.G_s * functions.sin(phi), rig.K_psi * psi)
             self.integrals = [clip(torque, *pid.limits) if pid.I else 0.0 for pid, torque in zip(pair, balance)]
-        self.pitch, self.yaw = (_control_law(pid, dt, clip) for pid in pair)
+        self.pitch, self.yaw = (control_law(pid, dt, clip) for pid in pair)
 
     def __call__(self, k, x):
         (r_phi, r_psi), (phi, phidot, psi, psidot) = self.reference[k], x
@@ -406,7 +406,7 @@ class _PIDPair:
         return u_phi, u_psi
 
 
-def _control_law(pid, dt, clip):
+def control_law(pid, dt, clip):
     """``(error, rate, integral) -> (torque, next integral)`` of one axis, torque and integral in N m."""
     P, I, D, (low, high) = pid.P, pid.I, pid.D, pid.limits  # noqa: E741 the field's own name
 
@@ -419,7 +419,7 @@ def _control_law(pid, dt, clip):
     return control
 
 
-def _clip(value, low, high):
+def clip_float(value, low, high):
     """`numpy.clip` for a float."""
     return low if value < low else high if value > high else value
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from tras.recording import Recording
 from tras.twin_rotor import plant, rotors
-from tras.twin_rotor.closed_loop import PID, REFERENCE_NAMES, REFERENCE_UNITS, _clip, _control_law
+from tras.twin_rotor.closed_loop import PID, REFERENCE_NAMES, REFERENCE_UNITS, clip_float, control_law
 from tras.twin_rotor.curves import Curve
 from tras.twin_rotor.rotor_parameters import GUST_NAMES, GUST_UNITS, RotorParameters
 from tras.workflow import arguments
@@ -83,7 +83,7 @@ def simulate_motor_loop(
     >>> log.states.shape, log.input_names
     ((1, 2001, 6), ('u_m', 'u_t', 'phi_ref', 'psi_ref'))
     """
-    reference = plant._array("reference", reference, 2)
+    reference = plant.as_array("reference", reference, 2)
     if reference.ndim not in (2, 3) or reference.shape[-2] < 2:
         raise ValueError(f"reference has shape {reference.shape}; give (samples, 2) or (runs, samples, 2).")
     batch = reference.shape[:-2]
@@ -91,7 +91,7 @@ def simulate_motor_loop(
     outside = np.empty((*reference.shape[:-1], 0)) if gusts is None else _as_long("gusts", gusts, reference.shape)
     arguments.number("speed_gain", speed_gain, 0, give="a gain, 0 or more")
     controllers = controllers or PID.defaults(parameters.loaded, frequency=FREQUENCY)
-    start = np.broadcast_to(rotors.rest_point(parameters) if x0 is None else plant._array("x0", x0, 6), (*batch, 6))
+    start = np.broadcast_to(rotors.rest_point(parameters) if x0 is None else plant.as_array("x0", x0, 6), (*batch, 6))
     states, commands = _loop(parameters, dt, controllers, speed_gain, step, start, reference, test, outside)
     inputs = np.concatenate([commands, outside, reference], axis=-1)
     gust_names, gust_units = (GUST_NAMES, GUST_UNITS) if outside.shape[-1] else ((), ())
@@ -115,7 +115,7 @@ def simulate_motor_loop(
 
 def _as_long(name, values, shape):
     """``values`` as an array of that shape, one run for all or one per run."""
-    array = plant._array(name, values, 2)
+    array = plant.as_array(name, values, 2)
     try:
         return np.broadcast_to(array, shape)
     except ValueError:
@@ -128,9 +128,9 @@ def _loop(parameters, dt, controllers, speed_gain, step, start, *signals):
     A single run takes plain floats, many take arrays and make each step together.
     """
     batch, gusts = start.shape[:-1], signals[-1].shape[-1] > 0
-    functions, clip, number = (np, np.clip, np.asarray) if batch else (math, _clip, float)
+    functions, clip, number = (np, np.clip, np.asarray) if batch else (math, clip_float, float)
     advance = rotors.stepper(parameters, dt, step=step, functions=functions, gusts=gusts)
-    pitch, yaw = (_control_law(pid, dt, clip) for pid in controllers)
+    pitch, yaw = (control_law(pid, dt, clip) for pid in controllers)
     curves = (parameters.thrust_m, parameters.hold_m), (parameters.thrust_t, parameters.hold_t)
     main, tail = (_motor(*pair, ends, speed_gain, number) for pair, ends in zip(curves, parameters.speed_limits))
     x, *signals = np.moveaxis(start, -1, 0), *(np.moveaxis(signal, (-2, -1), (0, 1)) for signal in signals)

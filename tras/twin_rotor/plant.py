@@ -129,7 +129,7 @@ class PlantParameters:
 
         ``d(energy)/dt = u_phi phidot + u_psi psidot - C_phi phidot^2 - C_psi psidot^2`` along every motion.
         """
-        phi, phidot, psi, psidot = np.moveaxis(_array("x", x, 4), -1, 0)
+        phi, phidot, psi, psidot = np.moveaxis(as_array("x", x, 4), -1, 0)
         kinetic = (self.J_phi * phidot**2 + (self.J * np.cos(phi) ** 2 + self.J_psi0) * psidot**2) / 2
         return kinetic + self.G_c * np.sin(phi) - self.G_s * np.cos(phi) + self.K_psi * psi**2 / 2
 
@@ -218,8 +218,8 @@ def vector_field(x: ArrayLike, u: ArrayLike, parameters: PlantParameters) -> np.
     >>> bool(abs(tras.vector_field(tras.rest_point(rig), [0, 0], rig)).max() < 1e-9)
     True
     """
-    phi, phidot, psi, psidot = np.moveaxis(_array("x", x, 4), -1, 0)
-    u_phi, u_psi = np.moveaxis(_array("u", u, 2), -1, 0)
+    phi, phidot, psi, psidot = np.moveaxis(as_array("x", x, 4), -1, 0)
+    u_phi, u_psi = np.moveaxis(as_array("u", u, 2), -1, 0)
     phiddot, psiddot = equations_of_motion(parameters)(phi, phidot, psi, psidot, u_phi, u_psi)
     return np.stack(np.broadcast_arrays(phidot, phiddot, psidot, psiddot), axis=-1)
 
@@ -236,8 +236,8 @@ def jacobian(x: ArrayLike, u: ArrayLike, parameters: PlantParameters) -> tuple[n
     ((4, 4), (4, 2))
     """
     p = parameters
-    phi, phidot, psi, psidot = np.moveaxis(_array("x", x, 4), -1, 0)
-    u_psi = _array("u", u, 2)[..., 1]
+    phi, phidot, psi, psidot = np.moveaxis(as_array("x", x, 4), -1, 0)
+    u_psi = as_array("u", u, 2)[..., 1]
     s, c, sin2, cos2 = np.sin(phi), np.cos(phi), np.sin(2 * phi), np.cos(2 * phi)
     J_psi = p.J * c**2 + p.J_psi0
     torque_psi = u_psi + p.J * psidot * phidot * sin2 - p.C_psi * psidot - p.K_psi * psi
@@ -272,7 +272,7 @@ def rest_point(parameters: PlantParameters, torques: ArrayLike = (0.0, 0.0)) -> 
     >>> tras.rest_point(tras.PlantParameters()).round(3)
     array([-0.491,  0.   ,  0.   ,  0.   ])
     """
-    u_phi, u_psi = _array("torques", torques, 2).tolist()
+    u_phi, u_psi = as_array("torques", torques, 2).tolist()
     gravity = math.hypot(parameters.G_c, parameters.G_s)
     if gravity == 0:
         raise ValueError("G_c and G_s are both 0, so no pitch angle is the rest point; give the rig a gravity torque.")
@@ -317,7 +317,7 @@ def simulate_plant(
     >>> simulate_plant([-0.49, 0, 0.1, 0], np.zeros((601, 2)), 0.01, PlantParameters()).shape
     (601, 4)
     """
-    x0, torques = _array("x0", x0, 4), _array("torques", torques, 2)
+    x0, torques = as_array("x0", x0, 4), as_array("torques", torques, 2)
     if torques.ndim < 2 or torques.shape[-2] == 0:
         raise ValueError(f"torques has shape {torques.shape}; give (samples, 2) with at least one sample.")
     batch = np.broadcast_shapes(x0.shape[:-1], torques.shape[:-2])
@@ -414,7 +414,7 @@ def _largest(*arrays):
     return max(float(np.abs(array).max()) for array in arrays)
 
 
-def _array(name, values, width):
+def as_array(name, values, width):
     """``values`` as floats; raises a ValueError unless all are finite and the last axis has ``width`` of them."""
     array = np.asarray(values, dtype=float)
     if array.ndim == 0 or array.shape[-1] != width:

@@ -232,7 +232,7 @@ class RotorParameters:
         ``d(energy)/dt = u_phi phidot + u_psi psidot - C_phi phidot^2 - C_psi psidot^2`` along every motion, with the
         torques of `tras.twin_rotor.rotors.torques`, which hold thrusts, reactions, dry friction and gusts.
         """
-        x = plant._array("x", x, 6)
+        x = plant.as_array("x", x, 6)
         psi, (stiffness, slack) = x[..., 2], self.cable
         springs = self.spring_side * psi * np.abs(psi) + stiffness * beyond(psi, slack) ** 2
         return self.loaded.energy(x[..., :4]) + springs / 2

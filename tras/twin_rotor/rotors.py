@@ -162,7 +162,7 @@ def jacobian(x: ArrayLike, u: ArrayLike, parameters: RotorParameters) -> tuple[n
     side, (stiffness, slack) = p.spring_side, p.cable
     springs = side * np.abs(psi) + stiffness * beyond(psi, slack)
     on_body = np.stack(np.broadcast_arrays(acting[..., 0], acting[..., 1] - springs), axis=-1)
-    A4, B4 = plant.jacobian(plant._array("x", x, 6)[..., :4], on_body, body)
+    A4, B4 = plant.jacobian(plant.as_array("x", x, 6)[..., :4], on_body, body)
 
     s, c = np.sin(phi), np.cos(phi)
     T, slope_m = p.thrust_m(omega_m), p.thrust_m.slope(omega_m)
@@ -237,7 +237,7 @@ def rest_point(parameters: RotorParameters, commands: ArrayLike = (0.0, 0.0)) ->
     """
     from scipy.optimize import brentq
 
-    commands = _commands(plant._array("commands", commands, 2), parameters)
+    commands = _commands(plant.as_array("commands", commands, 2), parameters)
     u_m, u_t = _motors(parameters)(*commands.tolist())
     speeds = parameters.hold_m.speed(u_m), parameters.hold_t.speed(u_t)
     body, side, (stiffness, slack) = parameters.loaded, parameters.spring_side, parameters.cable
@@ -320,14 +320,14 @@ def simulate_rotors(
     >>> simulate_rotors(rest_point(rig), np.full((601, 2), 0.2), 0.01, rig).shape
     (601, 6)
     """
-    x0, inputs = plant._array("x0", x0, 6), _commands(plant._array("commands", commands, 2), parameters)
+    x0, inputs = plant.as_array("x0", x0, 6), _commands(plant.as_array("commands", commands, 2), parameters)
     if inputs.ndim < 2 or inputs.shape[-2] == 0:
         raise ValueError(f"commands has shape {inputs.shape}; give (samples, 2) with at least one sample.")
     for name, speeds, (low, high) in zip(STATE_NAMES[4:], np.moveaxis(x0[..., 4:], -1, 0), parameters.speed_limits):
         if not np.all((low <= speeds) & (speeds <= high)):
             raise ValueError(f"x0 has {name} outside {low:.6g} to {high:.6g} rad/s, the range of full commands.")
     if gusts is not None:
-        gusts = plant._array("gusts", gusts, 2)
+        gusts = plant.as_array("gusts", gusts, 2)
         if gusts.ndim < 2 or gusts.shape[-2] != inputs.shape[-2]:
             raise ValueError(f"gusts has shape {gusts.shape}; give (samples, 2) with {inputs.shape[-2]} samples.")
         inputs = np.concatenate(np.broadcast_arrays(inputs, gusts), axis=-1)
@@ -350,4 +350,4 @@ def _split(x, u):
     """The six states, and the list of inputs."""
     u = np.asarray(u, dtype=float)
     width = 4 if u.ndim and u.shape[-1] == 4 else 2
-    return *np.moveaxis(plant._array("x", x, 6), -1, 0), list(np.moveaxis(plant._array("u", u, width), -1, 0))
+    return *np.moveaxis(plant.as_array("x", x, 6), -1, 0), list(np.moveaxis(plant.as_array("u", u, width), -1, 0))

@@ -6,6 +6,8 @@ Killed or interrupted, the same call of `compute` goes on where it was. `each` d
 import contextlib
 import os
 import sys
+from collections.abc import Iterable
+from typing import Any
 
 from tqdm import tqdm
 
@@ -105,6 +107,20 @@ def each(work, jobs, shared=(), *, cost=None, title=None, processes=1, progress=
             results[order[number]] = result
             bar.update()
     return results
+
+
+def require_known(study: Any, **choices: Iterable[str]) -> None:
+    """A ValueError unless each option of a study, a sequence of names, holds none but these.
+
+    >>> from types import SimpleNamespace
+    >>> require_known(SimpleNamespace(methods=["DMDc", "magic"]), methods=["DMDc", "NARX"])
+    Traceback (most recent call last):
+    ValueError: methods holds 'magic'; choose among DMDc, NARX.
+    """
+    for option, known in choices.items():
+        for name in getattr(study, option):
+            if name not in known:
+                raise ValueError(f"{option} holds {name!r}; choose among {', '.join(known)}.")
 
 
 def terminal():
