@@ -89,7 +89,10 @@ class KoopmanModel(Estimator):
     lead : {0, 1}
         Which recorded input acts from one sample to the next: that of the first of the two (0, a zero-order hold), or
         that of the second (1), as in recordings whose input was measured, filtered or stamped at the end of a sample.
-
+    horizon : int
+        With ``one_step``: the samples over which predictions are fitted. 1 is least squares, the fit of single steps;
+        with more the states' columns of K go on from there, by Gauss-Newton steps, to those whose predictions over so
+        many samples miss least (`tras.solver.prediction_error`). The other columns stay.
     max_functions : int
         More functions are refused before anything is lifted: time grows with their cube, memory with their square, and
         a degree, delays and many channels multiply. A thousand take up to a minute and 0.6 GB. With ``stable`` half as
@@ -153,6 +156,7 @@ class KoopmanModel(Estimator):
         stable: float | bool = False,
         columns: str = "all",
         lead: int = 0,
+        horizon: int = 1,
         max_functions: int = 1000,
     ):
         self.dictionary = dictionary
@@ -165,6 +169,7 @@ class KoopmanModel(Estimator):
         self.stable = stable
         self.columns = columns
         self.lead = lead
+        self.horizon = horizon
         self.max_functions = max_functions
 
     def fit(self, recording: Source, y: None = None, **streamed) -> "KoopmanModel":
@@ -194,12 +199,14 @@ class KoopmanModel(Estimator):
         Raises
         ------
         ValueError
-            With ``field="least_squares"``, which needs all data at once, and as for `fit`.
+            With ``field="least_squares"`` or a ``horizon``, which need all data at once, and as for `fit`.
         """
         if not hasattr(self, "koopman_matrix"):
             return self.fit(recording)
         if self.field == "least_squares" and self.predictor == "vector_field":
             raise ValueError("field is 'least_squares', which needs all data at once; use field='coordinates', or fit.")
+        if self.horizon > 1:
+            raise ValueError(f"horizon is {self.horizon}, which needs all data at once; use horizon=1, or fit.")
         if not hasattr(self, "_fit"):
             raise ValueError("this model comes from a file, which keeps what was found and not the data; fit anew.")
         with self._unchanged_on_failure(), one_blas_thread():
@@ -235,6 +242,8 @@ class KoopmanModel(Estimator):
             strength = self._choose_strength(scaled, held)
             fit.absorb(held, threads)
         self._solve(strength, scaled)
+        if self.horizon > 1:
+            self._predictor.settle_over(self, scaled, self.horizon)
         return self
 
     def _choose_strength(self, scaled, held):
@@ -403,6 +412,7 @@ class KoopmanModel(Estimator):
             raise ValueError(f"dictionary is {self.dictionary!r}; give one, for example tras.Monomials(2).")
         arguments.whole_number("delays", self.delays, 0)
         arguments.whole_number("max_functions", self.max_functions)
+        arguments.whole_number("horizon", self.horizon)
         if self.strength != "auto":
             arguments.number("strength", self.strength, 0, give="'auto' or a number that is not negative")
         if not isinstance(self.stable, (bool, int, float)) or not 0 <= self.stable <= 1:
@@ -412,6 +422,8 @@ class KoopmanModel(Estimator):
             )
         if self.columns == "states" and self.predictor != "one_step":
             raise ValueError(f"columns='states' needs predictor='one_step', but it is {self.predictor!r}; use 'all'.")
+        if self.horizon > 1 and self.predictor != "one_step":
+            raise ValueError(f"horizon={self.horizon} needs predictor='one_step', but it is {self.predictor!r}; use 1.")
         if self.stable and self.predictor != "lifted_linear":
             raise ValueError(f"stable={self.stable!r} needs predictor='lifted_linear', but it is {self.predictor!r}.")
 

@@ -67,8 +67,9 @@ def save(model, path):
     arrays = {key: value for key in _ARRAYS if (value := getattr(model, key, None)) is not None}
     parameters = {key: value for key, value in model.get_params(deep=False).items() if key != "dictionary"}
     del parameters["max_functions"]  # a limit of a fit, not of the model
-    if not parameters["lead"]:
-        del parameters["lead"]  # then the file is as earlier releases write and read it
+    for key, usual in (("lead", 0), ("horizon", 1)):
+        if parameters[key] == usual:
+            del parameters[key]  # then the file is as earlier releases write and read it
     header = {
         "format": _FORMAT,
         "versions": versions(),
@@ -201,6 +202,8 @@ def _checked_arrays(arrays, parameters, N, z, m, has_hull):
         shapes |= {"generator": (N, N), "W_": (z, N), "substeps_": (), "log_residual_": ()}
         shapes |= {"field_disagreement_": (None,), "refinement_": (None,)}
         needed |= {"generator", "W_", "substeps_", "log_residual_"}
+    if predictor == "one_step":
+        shapes |= {"refinement_": (None,)}
     if predictor == "lifted_linear":
         shapes |= {"B_": (N, m)}
         needed |= {"B_"}

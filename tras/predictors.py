@@ -11,6 +11,7 @@ import numpy as np
 from tras import generator, koopman, rollout
 from tras.dictionaries.base import Dictionary
 from tras.hull import Hull
+from tras.solver import prediction_error
 from tras.solver.stability import stable_change
 
 
@@ -67,6 +68,16 @@ def _shifted_slopes(model, slopes):
             slopes[:, past[:m], count + np.arange(m)] = 1
             slopes[:, past[m:], past[m:] - m] = 1
     return slopes
+
+
+def _segments(scaled, horizon, most):
+    """Segments of ``horizon`` samples and shorter rests, stacked by their lengths: (states, inputs) of `improved`."""
+    pieces = [piece for piece in scaled.cut_all(horizon + 1) if len(piece[0]) > 1]
+    count = max(1, int(len(pieces) * min(1, most / sum(len(x) - 1 for x, _ in pieces))))
+    alike = {}
+    for k in np.unique(np.linspace(0, len(pieces) - 1, count).astype(int)):
+        alike.setdefault(len(pieces[k][0]), []).append(pieces[k])
+    return [tuple(np.stack(part, axis=-1) for part in zip(*alike[samples])) for samples in sorted(alike)]
 
 
 class _Relifting:
@@ -147,6 +158,35 @@ class OneStep(_Relifting):
 
     def rows(self, columns):
         return koopman.rows if columns == "all" else koopman.state_rows
+
+    def settle_over(self, model, scaled, horizon):
+        """The states' columns of K by predictions over ``horizon`` samples, if none runs away."""
+        step, n = self.map(model), len(model.state_names_)
+        dictionary, hull, outward = step.dictionary, step.hull, step.outward
+        most = prediction_error.worth(n, len(model.names_))
+
+        def lift(z, u):
+            point = np.concatenate([z, u])
+            near = point if hull is None else hull.nearest(point)
+            psi = dictionary.lift(near)
+            return psi, 0.0 if near is point else outward[:n] @ (point - near)
+
+        def slopes(z, u):
+            point = np.concatenate([z, u])
+            return dictionary.lift_slopes(point if hull is None else hull.nearest(point))
+
+        def later(states, z, u):
+            return _shifted(model, np.concatenate([states, z[n:]]), z, u)
+
+        W = first = step.matrix[:n]
+        # Short predictions first: of long ones a few may go astray, and no small step brings them back.
+        for steps in sorted({-(-horizon // 9), -(-horizon // 3), horizon}):
+            segments = _segments(scaled, steps, most)
+            W, errors = prediction_error.improved(W, first, segments, lift, slopes, later, model.delays + 1)
+        if np.isfinite(errors[-1]):
+            K = model.koopman_matrix.copy()
+            K[:, slice(n) if model.columns == "states" else slice(1, 1 + n)] = W.T
+            model.koopman_matrix, model.refinement_ = K, np.array(errors)
 
     def map(self, model):
         """All states one sample later."""

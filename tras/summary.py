@@ -21,7 +21,16 @@ def _fit(model):
         f"numerical rank {model.rank_}, condition number of the liftings {model.condition_number:.2e}",
         f"regularization {model.regularization}, strength {model.strength_:g}{chosen}",
         *getattr(model, "unsettled_", []),
+        *_horizon(model),
     ]
+
+
+def _horizon(model):
+    if model.horizon == 1 or not hasattr(model, "refinement_"):
+        return []
+    first, last = model.refinement_[[0, -1]]
+    misses = f"miss by {last:.3g} half-ranges, root mean square, {first:.3g} before"
+    return [f"the next states were then fitted to predictions over {model.horizon} samples, which {misses}"]
 
 
 def _dynamics(model):
@@ -48,7 +57,7 @@ def _dynamics(model):
         names = map(one_line, model.state_names_)
         apart = ", ".join(f"{name} {100 * d:.2g} %" for name, d in zip(names, model.field_disagreement_))
         lines.append(f"it differs from the field by coordinates by {apart} (root mean square)")
-    if hasattr(model, "refinement_"):
+    if hasattr(model, "refinement_") and model.predictor == "vector_field":
         first, last = model.refinement_[[0, -1]]
         lines.append(
             f"refined on whole trajectories: predictions miss the measurements by {last:.3g} times their noise, "

@@ -1,11 +1,13 @@
 """The choice among models: the right one wins, by errors on data that no candidate saw, and failures are told."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from conftest import linear_system
 
 import tras
 from tras.fitting import hold_out
+from tras.identification import search
 
 TORQUES = ["u_phi", "u_psi"]
 
@@ -98,3 +100,38 @@ def test_candidates_fit_the_recording(torque_data):
 def test_mistakes_are_named(call, words, torque_data):
     with pytest.raises(ValueError, match=words):
         call(torque_data)
+
+
+def pendulum(noise, samples=3000):
+    """A pendulum of which the angle alone is measured, every torque held for two seconds."""
+    rng, x = np.random.default_rng(0), np.zeros((samples, 2))
+    u = np.repeat(rng.uniform(-1, 1, (-(-samples // 10), 1)), 10, axis=0)[:samples]
+    for k in range(samples - 1):
+        q, v = x[k]
+        v = v + 0.2 * (u[k, 0] - np.sin(q) - 0.5 * v)
+        x[k + 1] = q + 0.2 * v, v
+    return tras.Recording([x[:, :1] + rng.normal(0, noise, (samples, 1))], [u], 0.2, state_names=["q"])
+
+
+def test_coefficients_fitted_to_predictions_are_a_candidate_where_they_predict_better():
+    options = {"predictor": "one_step", "delays": [1], "smoothing": False, "lead": 0, "draws": 0}
+    noisy = tras.identify(pendulum(0.03), **options)
+    assert noisy.model.horizon > 1 and noisy.delivered.horizon == noisy.model.horizon
+    row = noisy.search[noisy.search["chosen"]].iloc[0]
+    same = noisy.search[noisy.search["dictionary"] == row["dictionary"]].query("every == @row.every")
+    assert list(same["horizon"]) == [1, noisy.model.horizon] and same["error"].is_monotonic_decreasing
+    assert any(f"predictions over {noisy.model.horizon} samples" in each for each in noisy.remarks["search"])
+
+
+@pytest.mark.parametrize("ratios, stays", [([0.9, 0.8, 0.9, 0.85], True), ([1.1, 0.6, 1.2, 0.7], False)])
+def test_they_are_none_where_the_windows_leave_that_open(ratios, stays):
+    squares = np.array([1.0, 2.0, 1.5, 1.0])
+    row = {"states": "as measured", "every": 1, "delays": 0, "lead": 0, "predictor": "one_step", "dictionary": "a"}
+    after = squares * np.square(ratios)
+    rows = [
+        row | {"horizon": horizon, "error": np.sqrt(each.mean()), "free": np.nan, "squares": each}
+        for horizon, each in ((1, squares), (25, after))
+    ]
+    assert rows[1]["error"] < rows[0]["error"]
+    table = search._without_idle_horizons(pd.DataFrame(rows))
+    assert list(table["horizon"]) == ([1, 25] if stays else [1])

@@ -75,7 +75,8 @@ def identify(
     """Check, search, fit, test: a model of a recording of which nothing else is known.
 
     A fifth of the recording is the test. Candidates, linear ones among them, are fitted to whole trajectories of the
-    rest, less what is held out to choose by. All predictions start from samples measured up to that instant.
+    rest, less what is held out to choose by; the best ones also to predictions over a window. All predictions start
+    from samples measured up to that instant.
 
     Parameters
     ----------
@@ -154,6 +155,11 @@ def _identify(log, predictor, delays, smoothing, lead, every, horizon, draws, se
             "compared with their noise; the inputs are means over a step"
         )
         search_remarks.append(step_remark)
+    if model.horizon > 1:
+        search_remarks.append(
+            f"the model's coefficients are fitted to predictions over {model.horizon} samples, which is better in the "
+            "held-out windows than a fit of single steps"
+        )
     latest = int(table["delays"][alike].max())
     if test_log.lengths.max() <= latest + 5:
         raise ValueError(

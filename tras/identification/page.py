@@ -161,8 +161,9 @@ def _correlation(identification):
 
 def _search_text(identification):
     return (
-        f"{len(identification.search)} candidates in two rounds: treatments of noise and numbers of delays first, with "
-        "a linear and a nonlinear dictionary; then every dictionary at the best of these, and without delays. The "
+        f"{len(identification.search)} candidates in three rounds: treatments of noise and numbers of delays first, "
+        "with a linear and a nonlinear dictionary; then every dictionary at the best of these, and without delays; "
+        "then the best ones fitted to predictions over a window (a horizon above 1), where that is better. The "
         "error is that of whole roll-outs of pieces that were held out from the candidate, against what was measured; "
         "each candidate also chooses its strength of regularization. Errors within 10 % of the least count as equal, "
         "and then the candidate with fewest functions is taken."
@@ -176,15 +177,16 @@ def _candidates(identification):
         if row["chosen"]:
             mark = "<strong>chosen</strong>"
         words = row["model"].dictionary.words(identification.recording.state_names)
-        options = [page.escape(each) for each in (words, row["predictor"], row["delays"], row["lead"], row["states"])]
+        names = ("predictor", "delays", "lead", "horizon", "states")
+        options = [page.escape(each) for each in (words, *(row[name] for name in names))]
         numbers = [
             _number(row[name], digits) for name, digits in (("functions", ".0f"), ("strength", "g"), ("error", ".4g"))
         ]
         numbers += [_number(row[name], digits) for name, digits in (("AIC", ".0f"), ("BIC", ".0f"), ("FPE", ".3g"))]
         rows.append([*options, *numbers, mark])
     more = f" The best {_ROWS} of {count}; all are in tables/search.csv." if count > _ROWS else ""
-    head = ["dictionary", "predictor", "delays", "lead", "states", "functions", "strength", "error (half-ranges)"]
-    head += ["AIC", "BIC", "FPE", ""]
+    head = ["dictionary", "predictor", "delays", "lead", "horizon", "states", "functions", "strength"]
+    head += ["error (half-ranges)", "AIC", "BIC", "FPE", ""]
     criteria = (
         " AIC, BIC and FPE are of one-step predictions of what was fitted, as measured: the smaller, the better. They "
         "know nothing of predictions further ahead, and do not choose."

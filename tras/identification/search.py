@@ -1,9 +1,10 @@
 """Which dictionary, predictor, delays and treatment of noise: candidates judged by roll-outs of held-out trajectories.
 
-`choose` compares the models that it is given. `search`, for `tras.identify`, has two rounds of its own, because all
+`choose` compares the models that it is given. `search`, for `tras.identify`, has three rounds of its own, because all
 combinations take too long: treatments, the length of a step, delays and the input's timing, with a linear and a
-nonlinear dictionary; then every dictionary and predictor at the best of these, and without delays. Every prediction
-starts from samples as they were measured up to that instant.
+nonlinear dictionary; then every dictionary and predictor at the best of these, and without delays; then the best ones
+with coefficients that are fitted to predictions over a window. Every prediction starts from samples as they were
+measured up to that instant.
 """
 
 import math
@@ -41,6 +42,9 @@ CLOSE = 1.1  # errors within ten percent count as equal: the model with fewer fu
 _ROUNDING = 1e-10  # half-ranges; smaller errors are all the same
 _HOPEFUL = 1.3  # errors in one step, over the least, up to which a vector field with the same dictionary is tried
 _SPREAD = 1.2  # errors beyond it never do, however much they vary from window to window
+_BEST = 3  # candidates whose coefficients are also fitted to predictions over a window
+_AHEAD = 100  # samples that these reach, at most
+_FITTED_OVER = 150  # functions of them, at most
 _DRAWS = 200  # of windows, for that spread
 
 
@@ -153,8 +157,8 @@ def search(
     -------
     table : pandas.DataFrame
         One row per candidate: ``round, states`` ("as measured" or "smoothed"), ``every`` (samples of a step), ``delays,
-        lead, predictor, dictionary``, ``functions, strength, error, windows, free, lost, failure, squares`` as in
-        `attempt`, ``model`` (unfitted), ``chosen``. The truth, and what predictions start from, is always what was
+        lead, predictor, horizon, dictionary``, ``functions, strength, error, windows, free, lost, failure, squares`` as
+        in `attempt`, ``model`` (unfitted), ``chosen``. The truth, and what predictions start from, is always what was
         measured.
     remarks : list of str
         Sentences on the data that were used.
@@ -197,11 +201,13 @@ def search(
                 models, desc=description, leave=False, disable=None, file=stream
             ):
                 name, q, d, k = setting
-                model = KoopmanModel(dictionary, predictor, d, lead=k)
+                over = min(_AHEAD, (samples - 1) // q) if number == 3 else 1
+                model = KoopmanModel(dictionary, predictor, d, lead=k, horizon=over)
                 if (name, q, repr(model)) in keys:
                     continue
                 keys.add((name, q, repr(model)))
-                options = {"every": q, "delays": d, "lead": k, "predictor": predictor, "dictionary": label(dictionary)}
+                options = {"every": q, "delays": d, "lead": k, "predictor": predictor, "horizon": over}
+                options |= {"dictionary": label(dictionary)}
                 train, starts, longer, measured = of(setting)
                 # Without delays no pair is lost by a cut, and the choice of a strength needs no longer roll-outs.
                 train = train if d else train.cut_all((samples - 1) // q + 1)
@@ -251,8 +257,42 @@ def search(
             if isinstance(dictionary, Mechanical) or (name, q, d, label(dictionary)) in good
         ]
         table = attempt_all(2, "vector fields", models)
+    models = _promising(table)
+    attempt_all(2, "dictionaries", models)  # where only the smoothed states were tried
+    table = _without_idle_horizons(attempt_all(3, "predictions over a window", models))
     table["chosen"] = table.index == best(table, CLOSE).name
     return table, remarks
+
+
+def _promising(table):
+    """Settings and models whose coefficients may gain by a fit of predictions over a window: the best, one linear.
+
+    What is smoothed knows the future, so these fits are of what was measured.
+    """
+    steps = table[(table["predictor"] == "one_step") & np.isfinite(table["error"])].sort_values("error", kind="stable")
+    steps = steps[steps["functions"] <= _FITTED_OVER].drop_duplicates(["every", "delays", "lead", "dictionary"])
+    linear = steps["dictionary"] == LINEAR_DICTIONARY
+    return [
+        (("as measured", *(int(row[key]) for key in ("every", "delays", "lead"))), row["model"].dictionary, "one_step")
+        for _, row in pd.concat([steps[:_BEST], steps[linear][:1]]).iterrows()
+    ]
+
+
+def _without_idle_horizons(table):
+    """Without the fits of predictions over a window that do not predict better than those of single steps.
+
+    Better is what is so in 95 of 100 draws of the windows: else, few data would be fitted too closely.
+    """
+    same, idle = ["states", "every", "delays", "lead", "predictor", "dictionary"], []
+    for number, row in table[table["horizon"] > 1].iterrows():
+        plain = table[(table["horizon"] == 1) & (table[same] == row[same]).all(axis=1)].iloc[0]
+        if (
+            not math.isfinite(row["error"])
+            or math.isfinite(plain["error"])
+            and np.quantile(_ratios(row, plain), 0.95) >= 1
+        ):
+            idle.append(number)
+    return table.drop(index=idle)
 
 
 def _delays(recording, complete):
@@ -278,13 +318,13 @@ def _leads(recording, lead):
 
 
 def _settled(model, rows, name, every, *data):
-    """`attempt` of a vector field with the strength that was chosen for one step, for K is the same; else of its own.
+    """`attempt` with the strength that was chosen for one step where its K is the same or the first; else of its own.
 
     A choice by roll-outs of a field takes longer than all the rest.
     """
     same = {"states": name, "every": every, "delays": model.delays, "lead": model.lead, "predictor": "one_step"}
-    same |= {"dictionary": label(model.dictionary), "failure": ""}
-    if model.predictor == "vector_field":
+    same |= {"horizon": 1, "dictionary": label(model.dictionary), "failure": ""}
+    if model.predictor == "vector_field" or model.horizon > 1:
         for row in rows:
             if all(row[key] == value for key, value in same.items()):
                 scores = attempt(clone(model).set_params(strength=float(row["strength"])), *data)
@@ -401,12 +441,17 @@ def _within_spread(row, leader):
     """Whether a candidate's error is above the leader's by less than both vary together over draws of the windows."""
     if not row["error"] <= _SPREAD * leader["error"]:
         return False
-    count = len(leader["squares"])
+    return bool(np.quantile(_ratios(row, leader), 0.05) <= 1)
+
+
+def _ratios(row, other):
+    """The ratio of two candidates' errors in draws of the windows (paired bootstrap)."""
+    count = len(other["squares"])
     draws = np.random.default_rng(0).integers(count, size=(_DRAWS, count))
-    windows = np.sqrt(row["squares"][draws].mean(axis=1) / leader["squares"][draws].mean(axis=1))
+    windows = np.sqrt(row["squares"][draws].mean(axis=1) / other["squares"][draws].mean(axis=1))
     # The free runs are few; their ratio is taken as it is.
-    free = row["free"] / leader["free"] if row["free"] > 0 and leader["free"] > 0 else 1.0
-    return bool(np.quantile(np.sqrt(windows * free), 0.05) <= 1)
+    free = row["free"] / other["free"] if row["free"] > 0 and other["free"] > 0 else 1.0
+    return np.sqrt(windows * free)
 
 
 def _parts(treatments, names, samples, latest, grid):
