@@ -7,6 +7,7 @@ import re
 import shlex
 import shutil
 import subprocess
+import sys
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
@@ -294,3 +295,12 @@ def test_results_do_not_replace_files_of_others(tmp_path, monkeypatch, capsys, s
     assert "holds the results of run1/log.csv; give another folder" in told
     assert f"OUT={tmp_path / 'build' / 'identify' / 'run2_log'}" in told
     assert (tmp_path / "mine" / "report.html").read_text() == "file\nother.txt\n"
+
+
+def test_the_command_itself_starts_light():
+    """The notebook's kernel loads what computes; the command beside it, which waits, loads it in vain."""
+    code = (
+        "import sys, tras.identification.command; print(sorted({'pandas', 'scipy', 'matplotlib'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

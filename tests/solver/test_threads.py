@@ -47,3 +47,20 @@ def test_fits_and_roll_outs_of_small_models_have_one_thread(two):
     Watched.seen.clear()
     model.predict(log)
     assert Watched.seen == {1} and blas_threads() == {2}
+
+
+def test_refined_fields_of_small_models_have_one_thread_too(two):
+    t, x = 0.1 * np.arange(40)[:, None], np.random.default_rng(0).uniform(-1, 1, (4, 1, 1))
+    log = tras.Recording(x * np.exp(-t), dt=0.1)
+    model = tras.KoopmanModel(Watched(2), strength=0.0).fit(log)
+    Watched.seen.clear()
+    tras.refine(model, log, iterations=1)
+    assert Watched.seen == {1} and blas_threads() == {2}
+
+
+def test_single_points_of_small_models_have_one_thread_too(two):
+    x = np.random.default_rng(0).uniform(-1, 1, (10, 30, 1))
+    model = tras.KoopmanModel(Watched(2), "one_step", strength=0.0).fit(tras.Recording(x, dt=0.1))
+    Watched.seen.clear()
+    model.simulate([0.2], np.empty((5, 0)))
+    assert Watched.seen == {1} and blas_threads() == {2}

@@ -187,7 +187,7 @@ class Mechanical(Dictionary):
     def _fill(self, psi, z):
         tail = psi[1 + len(z) :]
         polynomials = self._polynomials([_chebyshev(z[i], self.degree) for i in self._shape])
-        np.multiply(polynomials, self._products(psi, z)[self._word], out=tail)
+        np.multiply(polynomials, self._products(psi, z).take(self._word, axis=0), out=tail)
         for j, bend in enumerate(self._bends):
             if bend:
                 tail[self._bend == j] *= self._bent_values(*bend, z)
@@ -231,13 +231,13 @@ class Mechanical(Dictionary):
     def _products(self, psi, z):
         """The words' values (words, points), from the head of ``psi``, which is (1, z)."""
         first, second = self._letters
-        return psi[first] * psi[second]
+        return psi.take(first, axis=0) * psi.take(second, axis=0)
 
     def _polynomials(self, tables):
         """Products over the shape of polynomials: tables (degree + 1, points) -> (functions, points)."""
-        product = tables[0][self._powers[:, 0]]
+        product = tables[0].take(self._powers[:, 0], axis=0)
         for c in range(1, len(tables)):
-            product = product * tables[c][self._powers[:, c]]
+            product = product * tables[c].take(self._powers[:, c], axis=0)
         return product
 
     def _tail_names(self, channels):
@@ -262,11 +262,13 @@ def _powers(channels, degree):
 def _chebyshev(s, degree):
     """T_0 ... T_degree at s (points,): (degree + 1, points)."""
     T = np.empty((degree + 1, len(s)), dtype=np.result_type(s, float))
-    T[0], T[1] = 1, s
+    before, last, *others = T
+    before[:], last[:] = 1, s
     twice = 2 * s
-    for k in range(2, degree + 1):
-        np.multiply(twice, T[k - 1], out=T[k])
-        T[k] -= T[k - 2]
+    for row in others:
+        np.multiply(twice, last, row)
+        np.subtract(row, before, row)
+        before, last = last, row
     return T
 
 

@@ -219,11 +219,27 @@ def _fitted(table, training):
     for _, row in order.iterrows():
         try:
             recording = _long_enough(_data(training, row), row["model"])
-            model = clone(row["model"]).fit(recording)  # chooses the strength for so many pairs, if there is a choice
-            return row, _refitted(model, recording) if hasattr(model, "errors_") else model
+            return row, _with_strength(row["model"], recording)
         except ValueError as error:
             reason = error
     raise ValueError(f"no candidate could be fitted to all of the training data{f': {reason}' if reason else ''}")
+
+
+def _with_strength(model, recording):
+    """A fit of the model with the strength that roll-outs choose for so many pairs, if there is a choice.
+
+    A field and a fit over many steps take that of single steps, whose K is the same or the first: to roll them out for
+    every strength takes longer than all the rest.
+    """
+    same = model.predictor == "vector_field" and not (model.delays and recording.m)
+    options = {"horizon": 1} | ({"predictor": "one_step"} if same else {})
+    plain = clone(model).set_params(**options).fit(recording)
+    if not hasattr(plain, "errors_") and (plain.predictor, plain.horizon) == (model.predictor, model.horizon):
+        return plain
+    try:
+        return clone(model).set_params(strength=float(plain.strength_)).fit(recording)
+    except ValueError:  # without a logarithm a stronger one may do
+        return _refitted(clone(model).fit(recording), recording)
 
 
 def _data(treatments, row):

@@ -11,6 +11,7 @@ from tqdm import tqdm
 from tras.identification.noise import noise_level
 from tras.model import KoopmanModel
 from tras.recording import Recording
+from tras.solver.threads import few_blas_threads
 from tras.workflow import arguments
 
 _SEGMENTS = (1001, 501, 251, 126, 63)  # samples of a segment, the first of these over which predictions hold
@@ -75,9 +76,14 @@ def refine(
         raise ValueError("refine needs a model with a vector field; fit KoopmanModel(..., predictor='vector_field').")
     arguments.whole_number("iterations", iterations)
     arguments.whole_number("segment", _SEGMENTS[0] if segment is None else segment, 2)
-    recording = model.channels_.matched(recording)
-    model = copy.deepcopy(model)
-    rows = _equations(model, recording, rows)
+    recording, model = model.channels_.matched(recording), copy.deepcopy(model)
+    with few_blas_threads(len(model.names_)):
+        _refine(model, recording, _equations(model, recording, rows), iterations, segment)
+    return model
+
+
+def _refine(model, recording, rows, iterations, segment):
+    """New ``W_`` and ``refinement_`` of a model."""
     longest = int(recording.lengths.max())
     for samples in dict.fromkeys(min(each, longest) for each in _SEGMENTS) if segment is None else (segment,):
         shooting = _Shooting(model, recording, rows, samples)
@@ -96,7 +102,6 @@ def refine(
             break
     model.W_, model.refinement_ = W, np.sqrt(np.array(costs) / shooting.numbers)
     vars(model).pop("field_disagreement_", None)  # it belongs to the old W
-    return model
 
 
 def _equations(model, recording, rows):

@@ -117,7 +117,7 @@ def _filter(measured, deviation, order, intensity):
             K = np.linalg.solve(S, H @ P).T
             F = one - K @ H
             ahead = A @ (F @ P @ F.T + K @ R @ K.T) @ A.T + intensity * Q  # Joseph's form stays positive definite
-            settled = np.allclose(ahead, P, rtol=1e-11, atol=0)
+            settled = (np.abs(ahead - P) <= 1e-11 * np.abs(P)).all()
         steps.append((P, S, K))
         predicted[k], innovation[k] = x, (y - x[:, :channels]) * inside[k]
         x = (x + innovation[k] @ K.T) @ A.T
@@ -129,9 +129,11 @@ def _surprise(measured, deviation, order, intensity):
     """-log likelihood per number, up to a constant, without the first samples: they only say where a motion begins."""
     _, *parts = _filter(measured, deviation, order, intensity)
     innovation, inside, steps = (part[3:] for part in parts)
-    total = 0
+    total, last = 0, None
     for e, here, (_, S, _) in zip(innovation, inside, steps):
-        total += np.sum(e * np.linalg.solve(S, e.T).T) + np.sum(here) * np.log(np.linalg.det(S))
+        if S is not last:  # once the filter has settled it is the same
+            last, volume = S, np.log(np.linalg.det(S))
+        total += np.sum(e * np.linalg.solve(S, e.T).T) + np.sum(here) * volume
     return total / 2 / np.sum(inside)
 
 

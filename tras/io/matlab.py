@@ -10,7 +10,6 @@ import json
 from pathlib import Path
 
 import numpy as np
-from scipy.io import savemat
 
 from tras.io import columns, iddata, matfile4, matfile5, matlab73, workspace
 from tras.io.limits import Source, check_size
@@ -108,6 +107,8 @@ def write_recording(recording, header: dict, path: Path) -> None:
 
 def save(variables: dict, title: str, path: Path, **options) -> None:
     """Write variables with ``title`` in place of SciPy's, which states the time; ``options`` of `scipy.io.savemat`."""
+    from scipy.io import savemat
+
     memory = io.BytesIO()
     savemat(memory, variables, **options)
     path.write_bytes(title.encode().ljust(116) + memory.getvalue()[116:])

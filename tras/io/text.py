@@ -14,7 +14,6 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from tras.io import dialect
 from tras.io.limits import FORMAT, MAX_TEXT, MAX_VALUES, Source, check_size, one_line
@@ -241,6 +240,8 @@ class _Table:
         return frame
 
     def _parsed(self):
+        import pandas as pd
+
         style = {"sep": self.layout.separator or r"\s+", "decimal": self.decimal, "na_values": _MISSING}
         style |= {"header": None, "names": list(range(self.layout.width)), "keep_default_na": False, "engine": "c"}
         style |= {"skipinitialspace": self.layout.has_blanks}
@@ -272,7 +273,7 @@ class _Table:
             column = frame[i]
             if not _holds_numbers(column) and dialect.is_number(_first(column)):  # exponents with D, a rest cut off
                 numbers, wrong = _converted(column, self.decimal)
-                column = column if wrong else pd.Series(numbers, column.index)
+                column = column if wrong else type(column)(numbers, column.index)
             count = int(column.count()) if column.hasnans else len(column)
             if count <= _FEW * len(column) and not guess_role(name):
                 few += [name if name != str(i + 1) and not name.startswith("column ") else str(i + 1)] if count else []

@@ -6,8 +6,6 @@ import shutil
 import tempfile
 from pathlib import Path, PurePosixPath
 
-import pandas as pd
-
 from tras.workflow.files import umask
 
 LISTING = "contents.csv"  # what a run has written, one file per row
@@ -32,6 +30,8 @@ def written_together(folder: str | Path):
     >>> sorted(os.listdir(folder))
     ['a.txt', 'contents.csv']
     """
+    import pandas as pd
+
     folder = Path(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     stage = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
@@ -81,6 +81,8 @@ def _move(stage, folder):
 
 def _listed(folder):
     """The files that an earlier run has listed, but none outside the folder."""
+    import pandas as pd
+
     try:
         names = pd.read_csv(folder / LISTING)["file"].astype(str)
     except (OSError, ValueError, KeyError):
