@@ -75,7 +75,7 @@ OUT_07 := $(addprefix $(DATA)/,comparison.csv comparison_tuning.csv comparison_d
   $(foreach kind,pdf svg png csv,$(addprefix $(FIGURES)/,comparison_window.$(kind) comparison_horizon.$(kind) comparison_data.$(kind)))
 OUT_08 := $(DATA)/claims.csv
 OUT_09 := $(addprefix $(FIGURES)/,animation.gif animation.csv $(foreach kind,pdf svg png csv,portrait.$(kind)))
-OUT_10 := $(addprefix $(DATA)/,larger.csv larger_gusts.csv future_work.csv) \
+OUT_10 := $(addprefix $(DATA)/,larger.csv larger_gusts.csv) \
   $(foreach kind,pdf svg png csv,$(addprefix $(FIGURES)/,larger_accuracy.$(kind) larger_effects.$(kind) larger_gusts.$(kind)))
 OUT_11 := $(DATA)/control.csv $(DATA)/control_motors.csv $(addprefix $(FIGURES)/,control_film.gif control_film.csv $(foreach kind,pdf svg png csv,control_tracking.$(kind) control_disturbance.$(kind)))
 
@@ -258,7 +258,7 @@ $(eval $(call stage,04_figures,$(OUT_04),01_data_generation 02_identification 03
 $(eval $(call stage,05_robustness,$(OUT_05),01_data_generation))
 $(eval $(call stage,06_readings,$(OUT_06),))
 $(eval $(call stage,07_comparison,$(OUT_07),01_data_generation))
-$(eval $(call stage,08_claims,$(OUT_08),02_identification 03_validation 05_robustness 06_readings 07_comparison 11_control))
+$(eval $(call stage,08_claims,$(OUT_08),02_identification 03_validation 05_robustness 06_readings 07_comparison 10_larger_models 11_control))
 $(eval $(call stage,09_pictures,$(OUT_09),))
 $(eval $(call stage,10_larger_models,$(OUT_10),))
 $(eval $(call stage,11_control,$(OUT_11),01_data_generation 02_identification))
