@@ -95,6 +95,8 @@ LOCKS := environment.txt environment-build.txt
 LOCKED := $(shell cat $(LOCKS) 2>/dev/null | { sha256sum || shasum -a 256; } 2>/dev/null | cut -c1-12)
 READY := .venv/.ready-$(LOCKED)
 PY := .venv/bin/python
+# A file of tests is one process's: what its tests share is made once, and cells follow each other.
+PYTEST := $(PY) -m pytest -n auto --maxprocesses 4 --dist loadfile
 
 .PHONY: help setup all stages paper figures docs sweep smoke lint check test verify bless lab lock readme clean distclean bench bench-test identify control \
   example FORCE
@@ -150,14 +152,14 @@ lint: $(READY) ## maintain | 1 s | ruff, as configured in pyproject.toml
 	@$(PY) -m ruff format --check
 
 check: lint ## maintain | 2 min | for a developer: lint, layers, and every test that is not slow
-	@MPLBACKEND=Agg $(PY) -m pytest -q -x -m "not slow"
+	@MPLBACKEND=Agg $(PYTEST) -q -x -m "not slow"
 
 test: $(READY) ## maintain | 18 min | unit tests, then every notebook of the small profile rerun and compared
 	@failed=; \
-	MPLBACKEND=Agg $(PY) -m pytest || failed="unit tests"; \
+	MPLBACKEND=Agg $(PYTEST) || failed="unit tests"; \
 	$(MAKE) PROFILE=smoke stages \
 	  && $(MAKE) example && $(MAKE) identify RECORDING=build/example/duffing.csv OUT=build/smoke/identify \
-	  && IPYTHONDIR=$(CURDIR)/build/ipython $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) build/smoke/identify/identify.ipynb \
+	  && IPYTHONDIR=$(CURDIR)/build/ipython $(PYTEST) --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) build/smoke/identify/identify.ipynb \
 	  || failed="$${failed:+$$failed, }notebooks of the small profile"; \
 	test -z "$$failed" || { echo "make test: FAILED ($$failed): see the first failure of each above." >&2; exit 1; }; \
 	echo "make test: the unit tests passed, and every notebook of the small profile gives what it gave."
