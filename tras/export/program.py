@@ -15,7 +15,7 @@ SOLVER = """\
  */
 enum {{ VARIABLES = {variables}, GENERAL = {general}, BOUNDED = VARIABLES + GENERAL }};
 enum {{ LARGEST = VARIABLES + {soft} + 1 }};
-enum {{ SOLVED, INFEASIBLE, TOO_MANY_ITERATIONS, NOT_CONVEX }};
+enum {{ SOLVED, INFEASIBLE, TOO_MANY_ITERATIONS, NOT_CONVEX, RUN_AWAY }};
 enum {{ HARD, SLACK }};
 #define LINEAR {linear}
 #define QUADRATIC {quadratic}
@@ -309,7 +309,11 @@ static int solve_program(program *p)
             continue;
         }} else {{
             row = violated(p, &side);
-            if (row < 0 && refined++) return SOLVED; /* the second step on the same set removes what rounding left */
+            if (row < 0 && refined++) {{ /* the second step on the same set removes what rounding left */
+                for (int j = 0; j < VARIABLES; j++)
+                    if (!(fabs(p->v[j]) < INFINITY)) return RUN_AWAY; /* numbers so large that they overflow */
+                return SOLVED;
+            }}
             if (row < 0) continue;
         }}
         refined = 0;
