@@ -75,7 +75,7 @@ OUT_07 := $(addprefix $(DATA)/,comparison.csv comparison_tuning.csv comparison_d
   $(foreach kind,pdf svg png csv,$(addprefix $(FIGURES)/,comparison_window.$(kind) comparison_horizon.$(kind) comparison_data.$(kind)))
 OUT_08 := $(DATA)/claims.csv
 OUT_09 := $(addprefix $(FIGURES)/,animation.gif animation.csv $(foreach kind,pdf svg png csv,portrait.$(kind)))
-OUT_10 := $(addprefix $(DATA)/,larger.csv larger_gusts.csv future_work.csv) \
+OUT_10 := $(addprefix $(DATA)/,larger.csv larger_gusts.csv) \
   $(foreach kind,pdf svg png csv,$(addprefix $(FIGURES)/,larger_accuracy.$(kind) larger_effects.$(kind) larger_gusts.$(kind)))
 OUT_11 := $(DATA)/control.csv $(DATA)/control_motors.csv $(addprefix $(FIGURES)/,control_film.gif control_film.csv $(foreach kind,pdf svg png csv,control_tracking.$(kind) control_disturbance.$(kind)))
 
@@ -95,6 +95,8 @@ LOCKS := environment.txt environment-build.txt
 LOCKED := $(shell cat $(LOCKS) 2>/dev/null | { sha256sum || shasum -a 256; } 2>/dev/null | cut -c1-12)
 READY := .venv/.ready-$(LOCKED)
 PY := .venv/bin/python
+# A file of tests is one process's: what its tests share is made once, and cells follow each other.
+PYTEST := $(PY) -m pytest -n auto --maxprocesses 4 --dist loadfile
 
 .PHONY: help setup all stages paper figures docs sweep smoke lint check test verify bless lab lock readme clean distclean bench bench-test identify control \
   example FORCE
@@ -150,14 +152,14 @@ lint: $(READY) ## maintain | 1 s | ruff, as configured in pyproject.toml
 	@$(PY) -m ruff format --check
 
 check: lint ## maintain | 2 min | for a developer: lint, layers, and every test that is not slow
-	@MPLBACKEND=Agg $(PY) -m pytest -q -x -m "not slow"
+	@MPLBACKEND=Agg $(PYTEST) -q -x -m "not slow"
 
 test: $(READY) ## maintain | 18 min | unit tests, then every notebook of the small profile rerun and compared
 	@failed=; \
-	MPLBACKEND=Agg $(PY) -m pytest || failed="unit tests"; \
+	MPLBACKEND=Agg $(PYTEST) || failed="unit tests"; \
 	$(MAKE) PROFILE=smoke stages \
 	  && $(MAKE) example && $(MAKE) identify RECORDING=build/example/duffing.csv OUT=build/smoke/identify \
-	  && IPYTHONDIR=$(CURDIR)/build/ipython $(PY) -m pytest --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) build/smoke/identify/identify.ipynb \
+	  && IPYTHONDIR=$(CURDIR)/build/ipython $(PYTEST) --nbval -p no:cacheprovider $(STAGES:%=build/smoke/%.ipynb) build/smoke/identify/identify.ipynb \
 	  || failed="$${failed:+$$failed, }notebooks of the small profile"; \
 	test -z "$$failed" || { echo "make test: FAILED ($$failed): see the first failure of each above." >&2; exit 1; }; \
 	echo "make test: the unit tests passed, and every notebook of the small profile gives what it gave."
@@ -258,7 +260,7 @@ $(eval $(call stage,04_figures,$(OUT_04),01_data_generation 02_identification 03
 $(eval $(call stage,05_robustness,$(OUT_05),01_data_generation))
 $(eval $(call stage,06_readings,$(OUT_06),))
 $(eval $(call stage,07_comparison,$(OUT_07),01_data_generation))
-$(eval $(call stage,08_claims,$(OUT_08),02_identification 03_validation 05_robustness 06_readings 07_comparison 11_control))
+$(eval $(call stage,08_claims,$(OUT_08),02_identification 03_validation 05_robustness 06_readings 07_comparison 10_larger_models 11_control))
 $(eval $(call stage,09_pictures,$(OUT_09),))
 $(eval $(call stage,10_larger_models,$(OUT_10),))
 $(eval $(call stage,11_control,$(OUT_11),01_data_generation 02_identification))

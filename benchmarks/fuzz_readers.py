@@ -23,6 +23,7 @@ import io
 import json
 import multiprocessing
 import os
+import re
 import resource
 import struct
 import sys
@@ -205,7 +206,8 @@ def _yaml(folder):
         "time: stamp\noutputs: [b, a]\ninputs: c\nunits: {stamp: ms, a: rad, c: N m}\n", encoding="utf-8"
     )
     for name in ("paper", "smoke"):
-        (folder / f"params_{name}.yaml").write_bytes((ROOT / "params" / f"{name}.yaml").read_bytes()[:1500] + b"\n")
+        stages = re.split(rb"\n(?=\S)", (ROOT / "params" / f"{name}.yaml").read_bytes()[:1500])[:-1]  # whole ones
+        (folder / f"params_{name}.yaml").write_bytes(b"\n".join(stages) + b"\n")
     (folder / "sweep.yaml").write_text(
         "recording: a.nc\nwindow: 6.0\ntrain_fraction: 0.8\nmodels:\n  dictionary:\n    - Mechanical\n"
         "    - Monomials: {degree: [1, 2]}\n    - GaussianRBF: {n_centres: 5, seed: 3, width: 1.5}\n"

@@ -4,8 +4,9 @@
 
 Each combination of recording, dictionary and options of `tras.KoopmanModel` has a process of its own with 60 s of
 processor time. It fits, reports, predicts, scores, linearises and saves. What may come out is a model, or a ValueError
-of one sentence. Everything else is a fault and is printed with its number; ``--only`` repeats one of them here. Some
-recordings are hard on purpose: outliers of 1e300, steps of 1e-300 s, channels that hardly move or move together.
+of one sentence; after such a refusal another combination is drawn, 20 times at most. Everything else is a fault and is
+printed with its number; ``--only`` repeats one of them here. Some recordings are hard on purpose: outliers of 1e300,
+steps of 1e-300 s, channels that hardly move or move together.
 """
 
 import argparse
@@ -101,8 +102,17 @@ def options(rng):
 
 
 def attempt(seed):
-    """One combination: what it was, what came of it, and which of our lines warned."""
-    rng = np.random.default_rng(seed)
+    """What came of the first combination that is not refused, and how many were before it (at most 20)."""
+    rng, refusals = np.random.default_rng(seed), 0
+    while True:
+        outcome = once(rng)
+        if outcome["warnings"] or outcome["fault"] or "functions" in outcome or refusals == 20:
+            return outcome | {"refusals": refusals}
+        refusals += 1
+
+
+def once(rng):
+    """What was drawn, what came of it, and which of our lines warned."""
     log, what = recording(rng)
     lift, drawn = dictionary(rng), options(rng)
     what |= {"dictionary": repr(lift), **drawn}
@@ -172,6 +182,7 @@ def main():
             "beyond 60 s or 1 GiB": outcome["seconds"] >= SECONDS or outcome["bytes"] > MEMORY,
             "warnings of our lines": outcome["warnings"], "tracebacks and others": outcome["fault"],
         }  # fmt: skip
+        counts["refusals before"] += outcome.get("refusals", 0)
         counts["models" if "functions" in outcome else "refusals"] += 1
         for kind, fault in faults.items():
             counts[kind] += bool(fault)

@@ -263,7 +263,8 @@ class Claims(Block):
         section = nodes.section("", nodes.title("", title), ids=[f"claim-{row['claim']}"], names=[title.lower()])
         section += nodes.paragraph("", "", _verdict(row))
         if row["reading"]:
-            section += nodes.paragraph("", f"Reading: {row['reading']}.")
+            word = "" if row["verdict"] in claims.FUTURE else "Reading: "
+            section += nodes.paragraph("", _sentence(f"{word}{row['reading']}."))
         if row["quantity"]:
             section += nodes.paragraph("", f"{_sentence(row['quantity'])}: ", nodes.strong("", value), nodes.Text("."))
         section += nodes.paragraph("", f"{_sentence(row['evidence'])}.")

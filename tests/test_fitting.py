@@ -204,6 +204,12 @@ def test_a_single_pair_and_a_field_that_runs_away_warn_of_nothing():
         assert str(error).endswith(".")
 
 
+def test_functions_that_depend_on_each_other_are_said_in_words(log):
+    model = tras.KoopmanModel(tras.Monomials(1), "one_step", strength=0.1).fit(log)
+    model.condition_number = np.inf
+    assert "condition number of the liftings infinite\n" in model.report()
+
+
 def test_linear_algebra_that_fails_is_a_sentence(monkeypatch):
     def fail(*arguments):
         raise np.linalg.LinAlgError("SVD did not converge")

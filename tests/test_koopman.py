@@ -15,7 +15,7 @@ import tras
 from tras import koopman
 from tras.dictionaries import base as dictionaries
 from tras.dictionaries.base import Dictionary
-from tras.generator import LogarithmError, branch_distance, generator, principal_logarithm
+from tras.generator import LogarithmError, branch_distance, field_by_least_squares, generator, principal_logarithm
 from tras.solver.least_squares import least_squares
 
 A4 = np.array([[0, 1, 0, 0], [-3, -0.4, 0.2, 0], [0, 0, 0, 1], [0.1, 0, -1, -0.3]])
@@ -220,8 +220,6 @@ def test_vector_field_least_squares_is_equation_18_solved_densely():
     """The whitened normal equations against one big dense least squares, every row of (18) written out."""
     rng = np.random.default_rng(0)
     recording = tras.Recording(rng.uniform(-1, 1, (4, 30, 2)), rng.uniform(-1, 1, (4, 30, 1)), 0.1)
-    from tras.generator import field_by_least_squares
-
     psi = tras.GaussianRBF(5, seed=2).fit(recording.states, recording.inputs)
     N = len(psi.names)
     A = rng.normal(size=(N, N))
@@ -232,6 +230,24 @@ def test_vector_field_least_squares_is_equation_18_solved_densely():
     rows = np.einsum("pji,pk->pjik", J, lifted).reshape(-1, 2 * N)
     dense = np.linalg.lstsq(rows, (lifted @ A).ravel(), rcond=None)[0].reshape(2, N)
     assert np.allclose(W, dense, rtol=1e-9, atol=1e-10)
+
+
+@pytest.mark.parametrize("apart", [0.0, 1e-9])
+def test_equation_18_without_one_solution_is_refused(apart):
+    """Two states whose slopes are the same, or nearly: no field can be told from another, and SciPy only warns."""
+    rng = np.random.default_rng(0)
+    recording = tras.Recording(rng.uniform(-1, 1, (2, 30, 2)), rng.uniform(-1, 1, (2, 30, 1)), 0.1)
+
+    class Alike:
+        n_states_ = 2
+
+        def lift_with_slopes(self, z):
+            slopes = np.ones((2, 2, z.shape[1]))
+            slopes[1, 1] += apart
+            return z[:2], slopes
+
+    with pytest.raises(np.linalg.LinAlgError, match="equation .18. is singular to working precision; field="):
+        field_by_least_squares(np.eye(2), Alike(), recording, np.eye(2))
 
 
 def test_logarithm_against_extended_precision():

@@ -114,6 +114,11 @@ def field_by_least_squares(A: np.ndarray, dictionary: Dictionary, recording: Rec
     recording : Recording
     R : (N, N) ndarray
         Triangular factor of Psi_x, `LeastSquares.R`.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the normal equations are singular to working precision.
     """
     N, n = len(A), dictionary.n_states_
     S, B = np.zeros((n, n, N, N)), np.zeros((n, N))
@@ -133,5 +138,12 @@ def field_by_least_squares(A: np.ndarray, dictionary: Dictionary, recording: Rec
     for i in range(n):
         for k in range(i + 1):
             H[i, :, k] = H[k, :, i] = S[i, i] if i == k else (S[i, k] - S[i, i] - S[k, k]) / 2
-    V = linalg.solve(H.reshape(n * N, n * N), B.ravel(), assume_a="pos").reshape(n, N)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", linalg.LinAlgWarning)
+        try:
+            V = linalg.solve(H.reshape(n * N, n * N), B.ravel(), assume_a="pos").reshape(n, N)
+        except (linalg.LinAlgError, linalg.LinAlgWarning) as error:
+            raise linalg.LinAlgError(
+                "equation (18) is singular to working precision; field='coordinates' does without it"
+            ) from error
     return linalg.solve_triangular(R, V.T, check_finite=False).T

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tras.workflow.arguments import short, well_formed
+from tras.io import content
+from tras.workflow.arguments import short
 
 if TYPE_CHECKING:
     import pandas
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
 Trajectories = ArrayLike | Sequence[ArrayLike]
 _TEST = "test_trajectories"  # attribute: numbers of the trajectories that are for the test
-_RESERVED = ("trajectory", "time", "sample", "row_size")  # columns and dimensions of the table and the file
 
 
 class Recording:
@@ -75,12 +75,12 @@ class Recording:
         self.dt = _number(dt)
         if not (math.isfinite(self.dt) and self.dt > 0):
             raise ValueError(f"dt is {dt!r}; give the sampling time in s, a positive number.")
-        self._states = _trajectories("states", states)
+        self._states = content.float_arrays("states", states)
         if not self._states:
             raise ValueError("states holds no trajectory; give at least one.")
         if inputs is None:
             inputs = [np.empty((len(x), 0)) for x in self._states]
-        self._inputs = _trajectories("inputs", inputs)
+        self._inputs = content.float_arrays("inputs", inputs)
         if len(self._inputs) != len(self._states):
             raise ValueError(
                 f"inputs has {len(self._inputs)} trajectories but states has {len(self._states)}; give one for one."
@@ -92,14 +92,18 @@ class Recording:
                 )
         if self._states[0].shape[1] == 0:
             raise ValueError("states has no channel; give at least one.")
-        self.state_names, self.state_units = _labels("state", "x", self._states, state_names, state_units)
-        self.input_names, self.input_units = _labels("input", "u", self._inputs, input_names, input_units)
+        self.state_names, self.state_units = content.names_and_units(
+            "state", "x", self._states, state_names, state_units
+        )
+        self.input_names, self.input_units = content.names_and_units(
+            "input", "u", self._inputs, input_names, input_units
+        )
         shared = set(self.state_names) & set(self.input_names)
         if shared:
             raise ValueError(f"the name {sorted(shared)[0]!r} stands for a state and for an input; rename one.")
         for names, trajectories in ((self.state_names, self._states), (self.input_names, self._inputs)):
-            _check_finite(names, trajectories)
-        self.attributes = _attributes(attributes or {})
+            content.require_finite(names, trajectories)
+        self.attributes = content.json_attributes(attributes or {})
 
     @property
     def states(self) -> np.ndarray | list[np.ndarray]:
@@ -337,7 +341,7 @@ class Recording:
         """
         from tras.io import netcdf
 
-        return netcdf.to_xarray(self, _attributes(self.attributes))
+        return netcdf.to_xarray(self, content.json_attributes(self.attributes))
 
     def write(self, path: str | Path) -> None:
         """Write to ``path``: NetCDF-4 (.nc), .csv, .parquet or MATLAB (.mat, version 7). Same content, same bytes.
@@ -353,7 +357,7 @@ class Recording:
         """
         from tras.io import formats
 
-        formats.write(self, formats.known(path), _attributes(self.attributes))
+        formats.write(self, formats.known(path), content.json_attributes(self.attributes))
 
     @classmethod
     def read(
@@ -443,7 +447,7 @@ class Recording:
         wishes = sampling.Wishes(resample, missing, tolerance, start, end, decimate)
         test = [test] if isinstance(test, (str, Path, int)) else test
         try:
-            return cls(**_usable(formats.read(paths, roles, dt=dt, test=test, wishes=wishes)))
+            return cls(**content.with_names(formats.read(paths, roles, dt=dt, test=test, wishes=wishes)))
         except (FileNotFoundError, MissingExtraError):
             raise
         except Exception as error:  # damaged files make the libraries below raise anything
@@ -504,8 +508,8 @@ class Recording:
         wishes = sampling.Wishes(resample, missing, tolerance, start, end, decimate)
         test = [test] if isinstance(test, int) else test
         try:
-            content = formats.recording_of(frame.open_table(dataframe), [], roles, dt=dt, trials=test, wishes=wishes)
-            return cls(**_usable(content))
+            arguments = formats.recording_of(frame.open_table(dataframe), [], roles, dt=dt, trials=test, wishes=wishes)
+            return cls(**content.with_names(arguments))
         except ValueError as error:
             raise RecordingError(str(error)) from error
 
@@ -537,32 +541,6 @@ class Recording:
         self.attributes.pop(_TEST, None)
         if numbers:
             self.attributes[_TEST] = numbers
-
-
-def _usable(content):
-    """What a reader returns, channels with names that a recording can have: a topic of ROS, `/imu/x`, is `imu.x`."""
-    labels = {role: content[f"{role}_names"] for role in ("state", "input")}
-    taken, new = {name for names in labels.values() for name in names if _is_name(name)}, {}
-    for name in (name for names in labels.values() for name in names if not _is_name(name)):
-        plain = name.replace("\0", "").strip("/.").replace("/", ".") or "channel"
-        while plain in taken or not _is_name(plain):
-            plain += "_"
-        taken.add(plain)
-        new[name] = plain
-    if new:
-        content |= {f"{role}_names": [new.get(name, name) for name in names] for role, names in labels.items()}
-        attributes = content["attributes"]
-        attributes["noticed"] = [
-            *attributes.get("noticed", []),
-            *(f"{old!r} is called {name}" for old, name in new.items()),
-        ]
-        if "intersample" in attributes:
-            attributes["intersample"] = {new.get(key, key): word for key, word in attributes["intersample"].items()}
-    return content
-
-
-def _is_name(name):
-    return bool(name) and "/" not in name and "\0" not in name and name != "." and name not in _RESERVED
 
 
 def join(recordings: Recording | Iterable[Recording]) -> Recording:
@@ -607,89 +585,6 @@ def require_alike(first, other, i):
             )
 
 
-def _trajectories(name, values):
-    """A list of float arrays (samples_i, channels), our own and read-only."""
-    if hasattr(values, "iloc"):
-        raise ValueError(
-            f"{name} is a {type(values).__name__}; give a list of arrays (samples, channels), "
-            "for one table [table.to_numpy()]."
-        )
-    if isinstance(values, np.ndarray) and values.ndim == 2:
-        raise ValueError(_ONE_TOO_FEW.format(name, values.shape))
-    try:
-        values = list(values)
-        arrays = [_own(value) for value in values]
-    except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"{name} cannot be read as numbers ({error}); give real numbers in arrays of shape (samples, channels)."
-        ) from error
-    if arrays and all(array.ndim == 1 for array in arrays):
-        raise ValueError(_ONE_TOO_FEW.format(name, f"({len(arrays)}, {len(arrays[0])})"))
-    for i, (array, value) in enumerate(zip(arrays, values)):
-        if array.ndim != 2:
-            raise ValueError(f"{name}: trajectory {i} has shape {array.shape}; give (samples, channels).")
-        if len(array) == 0:
-            raise ValueError(f"{name}: trajectory {i} has no samples; leave it out.")
-        if array.shape[1] != arrays[0].shape[1]:
-            raise ValueError(
-                f"{name}: trajectory {i} has {array.shape[1]} channels but the first has {arrays[0].shape[1]}."
-            )
-        if np.ma.is_masked(value):
-            sample, channel = np.argwhere(np.ma.getmaskarray(value))[0]
-            raise ValueError(
-                f"{name}: trajectory {i} is missing (masked) at sample {sample} in column {channel}; "
-                "repair it or cut the trajectory there."
-            )
-    return arrays
-
-
-_ONE_TOO_FEW = "{} has shape {}; give (trajectories, samples, channels), for one trajectory a list of it."
-
-
-def _own(value):
-    array = np.asarray(value)
-    if array.dtype.kind not in "biufO":
-        raise TypeError(f"they are {array.dtype.name}")
-    array = np.array(array, dtype=float)
-    array.setflags(write=False)
-    return array
-
-
-def _labels(role, letter, trajectories, names, units):
-    count = trajectories[0].shape[1]
-    for kind, labels in (("names", names), ("units", units)):
-        if isinstance(labels, str):
-            raise ValueError(f"{role}_{kind} is the string {labels!r}; give a list of strings, one per channel.")
-    names = tuple(names) if names is not None else tuple(f"{letter}{i + 1}" for i in range(count))
-    units = tuple(units) if units is not None else ("",) * count
-    for kind, labels in (("names", names), ("units", units)):
-        if len(labels) != count:
-            raise ValueError(f"{role}_{kind} has {len(labels)} entries {labels} but there are {count} {role} channels.")
-        for label in labels:
-            if not isinstance(label, str):
-                raise ValueError(f"{role}_{kind} holds {label!r}; give strings.")
-            well_formed(f"{role}_{kind}", label)
-    for name in names:
-        if not _is_name(name):
-            raise ValueError(
-                f"{role}_names holds {name!r}; give names that are not empty, have no '/' "
-                f"and are none of {', '.join(_RESERVED)}."
-            )
-    if len(set(names)) != count:
-        raise ValueError(f"{role}_names {names} repeat a name; every channel needs its own.")
-    return names, units
-
-
-def _check_finite(names, trajectories):
-    for i, array in enumerate(trajectories):
-        if not np.isfinite(array).all():
-            sample, channel = np.argwhere(~np.isfinite(array))[0]
-            raise ValueError(
-                f"channel {names[channel]!r} is {array[sample, channel]} in trajectory {i} at sample {sample}; "
-                "repair it or cut the trajectory there."
-            )
-
-
 def _listed(names):
     """Names for one line: the first of many, and how many there are."""
     if len(names) <= 8:
@@ -724,31 +619,3 @@ def whole_number(name, value):
     if not number.is_integer():
         raise ValueError(f"{name} = {value!r}; give a whole number.")
     return int(number)
-
-
-def _attributes(attributes):
-    """A copy of ``attributes`` as JSON holds them."""
-    if not hasattr(attributes, "items"):
-        raise ValueError(f"attributes is {attributes!r}; give a dict of name -> value.")
-    for key in attributes:
-        if not isinstance(key, str):
-            raise ValueError(f"attributes has the key {key!r}; give strings as keys.")
-        well_formed("attributes", key)
-    return {key: _as_json(key, value) for key, value in attributes.items()}
-
-
-def _as_json(key, value):
-    if isinstance(value, (np.generic, np.ndarray)):
-        value = value.tolist()
-    if isinstance(value, (list, tuple)):
-        return [_as_json(key, item) for item in value]
-    if isinstance(value, dict) and all(isinstance(name, str) for name in value):
-        return {_as_json(key, name): _as_json(key, item) for name, item in value.items()}
-    if isinstance(value, str):
-        well_formed(f"attribute {key!r}", value)
-    if value is None or isinstance(value, (bool, str, int)) or (isinstance(value, float) and math.isfinite(value)):
-        return value
-    raise ValueError(
-        f"attribute {key!r} holds {value!r} ({type(value).__name__}), which JSON cannot hold; "
-        "give None, true or false, finite numbers, strings, or lists and dicts of them."
-    )

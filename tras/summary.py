@@ -15,10 +15,12 @@ def describe(model, recording=None):
 def _fit(model):
     states, inputs = len(model.state_names_), len(model.input_names_)
     chosen = f", chosen among {len(model.errors_)} by multi-step error" if hasattr(model, "errors_") else ""
+    condition = model.condition_number
     return [
         f"{model.predictor} model of {states} states, {inputs} inputs at {model.dt_:g} s, {model.delays} delays",
         f"dictionary {model.dictionary_}, N = {len(model.names_)} functions, {model.pairs_} snapshot pairs",
-        f"numerical rank {model.rank_}, condition number of the liftings {model.condition_number:.2e}",
+        f"numerical rank {model.rank_}, condition number of the liftings "
+        f"{f'{condition:.2e}' if np.isfinite(condition) else 'infinite'}",
         f"regularization {model.regularization}, strength {model.strength_:g}{chosen}",
         *getattr(model, "unsettled_", []),
         *_horizon(model),

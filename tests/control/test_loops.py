@@ -144,6 +144,31 @@ def test_many_runs_are_those_of_a_loop_by_itself(true_plant):
     assert together.attributes["controller"].startswith("MPC(")
 
 
+def test_each_run_may_have_a_controller_of_its_own():
+    """They remember and cannot be reset: in a run of its own each does what it does in the sequence."""
+
+    class Winds:
+        def __init__(self, gain):
+            self.gain, self.sum = gain, np.zeros(2)
+
+        def __call__(self, x, reference):
+            self.sum = self.sum + self.gain * (reference - x[[0, 2]])
+            return self.sum
+
+        def __repr__(self):
+            return f"Winds({self.gain})"
+
+    references, gains = np.stack([np.tile([0.1 * k, 0.3], (40, 1)) for k in range(3)]), (1e-3, 2e-3, 3e-3)
+    together = tras.simulate_closed_loops(references, 0.01, controllers=[Winds(gain) for gain in gains])
+    for k, gain in enumerate(gains):
+        alone = tras.simulate_closed_loop(references[k], 0.01, controllers=Winds(gain))
+        assert np.array_equal(alone.states[0], together.states[k])
+    assert together.attributes["controller"] == ["Winds(0.001)", "Winds(0.002)", "Winds(0.003)"]
+    for wrong in ([Winds(1e-3)] * 2, [Winds(1e-3), Winds(1e-3), tras.PID(1.0, 0.0, 0.0, (-1.0, 1.0))]):
+        with pytest.raises(ValueError, match="controllers holds 2 callables for 3 runs; give one for all, or one per"):
+            tras.simulate_closed_loops(references, 0.01, controllers=wrong)
+
+
 def test_the_batch_of_pids_takes_noise_and_torques_too():
     """Forty runs at once, against one by itself."""
     references = np.tile([0.2, 0.5], (40, 60, 1))

@@ -7,6 +7,7 @@ from conftest import linear_system
 from rig import pendulum
 
 import tras
+from tras.control.predictors import Equations
 
 
 @pytest.fixture(scope="module")
@@ -109,6 +110,16 @@ def test_delayed_samples_are_estimated_too(torques):
     error = np.sqrt(np.mean((estimates[100:] - x[100:]) ** 2, axis=0))
     assert np.all(error < noise / 2)
     assert observer.covariance.shape == (16, 16)  # 4 samples of 2 angles, 3 of 2 torques, 2 disturbances
+
+
+def test_it_begins_anew_where_the_model_runs_away():
+    """Nothing that is measured tells of v, and its cubes overflow after a few samples."""
+    away = Equations(lambda x, u: np.stack([0.9 * x[0] + 0.1 * u[0], (x[1] + 2) ** 3]), 0.1, [[-1, 1]], ["q", "v"],
+                     ["f"])  # fmt: skip
+    observer = tras.Observer(away, measured=["q"])
+    q, v = np.array([observer.update([0.3], [0.3]) for _ in range(30)]).T
+    assert np.allclose(q, 0.3, atol=1e-3) and np.isfinite(v).all() and np.abs(v).max() > 1e9
+    assert (v == 0).sum() > 1 and np.isfinite(observer.covariance).all()
 
 
 def test_it_begins_anew_after_a_reset(true_plant):

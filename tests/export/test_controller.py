@@ -144,6 +144,30 @@ def test_c_estimates_from_angles_alone(fitted, parameters, tmp_path):
 
 
 @needs_cc
+@pytest.mark.parametrize("size", [1.0, 0.1])
+def test_c_bears_a_reading_near_the_largest_number(size, tmp_path):
+    """The inputs stay finite; where the estimate overflows (size 0.1), it begins anew and the loop goes on."""
+    rng = np.random.default_rng(0)
+    x, u = rng.uniform(-size, size, (2, 40, 2, 1))
+    x[:, 1] = 1.5 * x[:, 0] + u[:, 0]
+    recording = tras.Recording(x, u, 0.1, state_names=["q"], input_names=["f"])
+    model = tras.KoopmanModel(tras.Monomials(1), "one_step", regularization=None).fit(recording)
+    controller = tras.MPC(model, horizon=5, observer=tras.Observer(model, noise=0.01 * size))
+    step, _ = compiled(controller, tmp_path)
+    q, inputs = 0.0, []
+    for k in range(60):
+        reading, reference = [1.7e308 if k == 20 else q], [(0.1 if k < 30 else 0.2) * size]
+        u, (_, computed) = controller(reading, reference), step(reading, reference)
+        inputs.append([u[0], computed[0]])
+        q = 1.5 * q + u[0]
+    inputs = np.array(inputs)
+    assert np.isfinite(inputs).all()
+    if size < 1:
+        errors = np.abs(np.diff(inputs))
+        assert max(errors[:20].max(), errors[40:].max()) <= 1e-9 and abs(q - 0.02) < 1e-4
+
+
+@needs_cc
 def test_c_says_when_a_program_was_not_solved_and_goes_on_with_the_last_plan(fitted, parameters, tmp_path):
     controller = tras.MPC(fitted("vector_field", 0), weights={"phi": 1, "psi": 1}, horizon=15, limits=TIGHT)
     step, _ = compiled(controller, tmp_path, iterations=3)  # enough without active limits only

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 import tras
-from tras.paper import larger
+from tras.paper import claims, larger
 
 SMALL = larger.Study(
     duration=60.0, test_duration=20.0, effect_duration=40.0, trajectory=2.0, window=2.0, monomials=(1, 2),
@@ -54,39 +54,6 @@ def test_a_gust_is_estimated_from_what_the_model_misses():
     assert np.allclose(larger.estimated_gust(model, states, u[500:600]), [0.004, 0.0], atol=0.0005)
 
 
-def tables(own=0.02, effect=0.5, share=0.01, measured=0.03, lost=0):
-    rows = [
-        {"part": part, "rig": rig, "condition": condition, "model": model, "N": 199, "angle": angle, "nrmse": nrmse,
-         "windows": 20, "diverged": lost}
-        for part, rig, condition, model, nrmse in [
-            ("accuracy", "maker", "", larger.OWN, own), ("accuracy", "Rotondo et al.", "", larger.OWN, own),
-            ("accuracy", "maker", "", "monomials, degree 3", 0.5), ("effects", "maker", "none", larger.OWN, 0.1),
-            ("effects", "maker", "cable", larger.OWN, effect), ("effects", "maker", "sag", larger.OWN, 0.2),
-            ("gust", "maker", "not measured", larger.OWN, 9.0), ("gust", "maker", "measured", larger.OWN, measured),
-        ]
-        for angle in ("yaw", "pitch")
-    ]  # fmt: skip
-    gusts = [{"angle": angle, "rms": 0.005, "error": 0.005 * share, "share": share} for angle in ("yaw", "pitch")]
-    return {"errors": pd.DataFrame(rows), "gusts": pd.DataFrame(gusts)}
-
-
-@pytest.mark.parametrize(
-    "changed, verdicts",
-    [
-        ({}, [larger.SHOWN] * 3),
-        ({"own": 0.06}, [larger.NOT_SHOWN, larger.SHOWN, larger.SHOWN]),
-        ({"lost": 1}, [larger.IN_PART, larger.SHOWN, larger.SHOWN]),
-        ({"effect": 3.0}, [larger.SHOWN, larger.IN_PART, larger.SHOWN]),
-        ({"share": 0.2}, [larger.SHOWN, larger.SHOWN, larger.IN_PART]),
-        ({"share": 0.2, "measured": 0.05}, [larger.SHOWN, larger.SHOWN, larger.NOT_SHOWN]),
-    ],
-)
-def test_the_rules_of_the_ledger(changed, verdicts):
-    ledger = larger.future_work(tables(**changed))
-    assert list(ledger["verdict"]) == verdicts and list(ledger["claim"]) == ["F1", "F2", "F3"]
-    assert tuple(ledger.columns) == larger.COLUMNS and not ledger["evidence"].str.contains("nan").any()
-
-
 @pytest.mark.slow
 def test_the_whole_study_runs_twice_to_the_same_numbers(tmp_path):
     first = larger.run(SMALL, tmp_path, processes=1)
@@ -94,4 +61,5 @@ def test_the_whole_study_runs_twice_to_the_same_numbers(tmp_path):
     for name, table in first.items():
         pd.testing.assert_frame_equal(table, again[name])
     assert set(first["errors"]["part"]) == {"accuracy", "states", "effects", "gust", "feedback"}
-    assert len(larger.future_work(first)) == 3
+    ledger = [claims.higher_dimensional(first["errors"]), claims.external_factors(first["errors"], first["gusts"])]
+    assert all(np.isfinite(row["value"]) for row in ledger)

@@ -221,8 +221,8 @@ def dependent(kind):
     if kind == "duplicate":
         X[:, 5] = X[:, 2]
         return X, {"f2", "f5"}
-    if kind == "zero":
-        X[:, 4] = 0
+    if kind in ("zero", "without squares", "hardly a number"):
+        X[:, 4] *= {"zero": 0, "without squares": 1e-200, "hardly a number": 1e-310}[kind]
         return X, {"f4"}
     if kind == "constant":
         X[:, 0], X[:, 6] = 1, 0.3
@@ -234,7 +234,7 @@ def dependent(kind):
 
 
 @pytest.mark.parametrize("units", [1.0, 1e-7])
-@pytest.mark.parametrize("kind", ["duplicate", "zero", "constant", "many"])
+@pytest.mark.parametrize("kind", ["duplicate", "zero", "without squares", "hardly a number", "constant", "many"])
 def test_dependent_columns_are_found_and_named(kind, units):
     X, involved = dependent(kind)
     X = X * np.geomspace(1, units, 8)

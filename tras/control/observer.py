@@ -23,7 +23,8 @@ class Observer:
     controller needs to be without steady error (G. Pannocchia and J. B. Rawlings, AIChE J. 49, 2003, 426). It has to be
     where the unknown acts: on the inputs, if these are torques; on all states, if the inputs are commands of motors
     whose speeds are measured too. As many disturbances as measurements are enough for any constant error of the model.
-    The filter is the extended Kalman filter of z, which with a model's delays holds earlier samples too, and d.
+    The filter is the extended Kalman filter of z, which with a model's delays holds earlier samples too, and d. Where
+    the model runs away from an estimate, the filter begins anew with the measurement.
 
     Parameters
     ----------
@@ -152,13 +153,22 @@ class Observer:
             y = y[self._rows]
         if y.shape != self._rows.shape or not np.isfinite(y).all():
             raise ValueError(f"y is {y.tolist()}; give finite numbers: {', '.join(self.measured)}.")
-        y = (y - c.x_offset[self._rows]) / c.x_scale[self._rows]
-        if self._state is None or u is None:
+        with np.errstate(over="ignore"):
+            y = (y - c.x_offset[self._rows]) / c.x_scale[self._rows]
+        follows = self._state is not None and u is not None
+        if not (follows and self._follow(y, (np.asarray(u, dtype=float) - c.u_offset) / c.u_scale)):
             self._begin(y)
-        else:
-            self._predict((np.asarray(u, dtype=float) - c.u_offset) / c.u_scale)
-            self._correct(y)
         return self.estimate
+
+    def _follow(self, y, u):
+        """One sample on; False if the estimate has gone where the model runs away."""
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                self._predict(u)
+                self._correct(y)
+        except (ValueError, ArithmeticError):  # so `tras.twin_rotor` says that it cannot go on, and a singular matrix
+            return False
+        return bool(np.isfinite(self._state).all() and np.isfinite(self.covariance).all())
 
     @property
     def estimate(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -18,14 +18,18 @@ static void map_slopes(const double *z, double *result, double slopes[][CHANNELS
 {hull}    lift_slopes({point}, psi, slope);
     for (int i = 0; i < ROWS; i++) {{
         result[i] = 0.0;
-        for (int j = 0; j < FUNCTIONS; j++) result[i] += matrix[i][j] * psi[j];
         for (int j = 0; j < CHANNELS; j++) slopes[i][j] = 0.0;
-        for (int k = 0; k < SLOPES; k++) slopes[i][slope_by[k]] += matrix[i][slope_of[k]] * slope[k];
-{inputs}    }}
-{outward}}}
+    }}
+    /* Row by row inside: a processor need not wait for one sum before it goes on with the next. */
+    for (int j = 0; j < FUNCTIONS; j++)
+        for (int i = 0; i < ROWS; i++) result[i] += matrix[i][j] * psi[j];
+    for (int k = 0; k < SLOPES; k++)
+        for (int i = 0; i < ROWS; i++) slopes[i][slope_by[k]] += matrix[i][slope_of[k]] * slope[k];
+{inputs}{outward}}}
 
 """
 _INPUTS = """\
+    for (int i = 0; i < ROWS; i++)
         for (int j = 0; j < CHANNELS - STATES; j++) {
             result[i] += by_input[i][j] * z[STATES + j];
             slopes[i][STATES + j] = by_input[i][j];

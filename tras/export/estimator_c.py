@@ -40,8 +40,6 @@ static double estimated[ALL], covariance[ALL][ALL]; /* of z and of the disturban
 
 static void start_estimate(void)
 {
-    for (int i = 0; i < ALL; i++)
-        for (int j = 0; j < ALL; j++) covariance[i][j] = 0.0;
 }
 
 /* What the estimated disturbances add to the inputs, and to the states after a sample. */
@@ -130,19 +128,23 @@ static void correct_estimate(const double *y)
 
 static void estimate(const double *x, double *z, double *of_inputs, double *of_states)
 {
-    double y[MEASURED];
+    double y[MEASURED], astray = 0.0;
     for (int i = 0; i < MEASURED; i++) y[i] = (x[i] - x_offset[measured[i]]) / x_scale[measured[i]];
-    if (is_first) { /* nothing is known but y, and it was so before */
+    if (!is_first) {
+        predict_estimate();
+        correct_estimate(y);
+        for (int i = 0; i < ALL; i++) {
+            astray += 0.0 * estimated[i]; /* not a number, if that is not finite */
+            for (int j = 0; j < ALL; j++) astray += 0.0 * covariance[i][j];
+        }
+    }
+    if (is_first || !(astray == 0.0)) /* nothing is known but y, and it was so before */
         for (int i = 0; i < ALL; i++) {
             estimated[i] = 0.0;
             for (int k = 0; k < MEASURED && i < PRESENT * (DELAYS + 1); k++)
                 if (measured[k] == i % PRESENT) estimated[i] = y[k];
-            covariance[i][i] = first_variance[i];
+            for (int j = 0; j < ALL; j++) covariance[i][j] = i == j ? first_variance[i] : 0.0;
         }
-    } else {
-        predict_estimate();
-        correct_estimate(y);
-    }
     for (int i = 0; i < STATES; i++) z[i] = estimated[i];
     disturb(of_inputs, of_states);
 }

@@ -15,7 +15,7 @@ SOLVER = """\
  */
 enum {{ VARIABLES = {variables}, GENERAL = {general}, BOUNDED = VARIABLES + GENERAL }};
 enum {{ LARGEST = VARIABLES + {soft} + 1 }};
-enum {{ SOLVED, INFEASIBLE, TOO_MANY_ITERATIONS, NOT_CONVEX }};
+enum {{ SOLVED, INFEASIBLE, TOO_MANY_ITERATIONS, NOT_CONVEX, RUN_AWAY }};
 enum {{ HARD, SLACK }};
 #define LINEAR {linear}
 #define QUADRATIC {quadratic}
@@ -44,21 +44,38 @@ static void forget(program *p)
     p->working = p->waiting = 0;
 }}
 
+/* Four sums at a time: a processor need not wait for one product before it begins the next. */
+static double dot(const double *a, const double *b, int size)
+{{
+    double sum[4] = {{0.0, 0.0, 0.0, 0.0}};
+    int i = 0;
+    for (; i + 4 <= size; i += 4)
+        for (int j = 0; j < 4; j++) sum[j] += a[i + j] * b[i + j];
+    for (; i < size; i++) sum[0] += a[i] * b[i];
+    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}}
+
+/* v -= times a */
+static void subtract(double *restrict v, const double *restrict a, double times, int size)
+{{
+    int i = 0;
+    for (; i + 4 <= size; i += 4)
+        for (int j = 0; j < 4; j++) v[i + j] -= times * a[i + j];
+    for (; i < size; i++) v[i] -= times * a[i];
+}}
+
 static double of_row(const program *p, int row, const double *v)
 {{
-    double sum = 0.0;
     if (row < VARIABLES) return v[row];
     row -= VARIABLES;
-    for (int j = p->first[row]; j < p->last[row]; j++) sum += p->G[row][j] * v[j];
-    return sum;
+    return dot(&p->G[row][p->first[row]], &v[p->first[row]], p->last[row] - p->first[row]);
 }}
 
 static int factorized(program *p)
 {{
     for (int i = 0; i < VARIABLES; i++)
         for (int j = 0; j <= i; j++) {{
-            double sum = p->H[i][j];
-            for (int k = 0; k < j; k++) sum -= p->cholesky[i][k] * p->cholesky[j][k];
+            double sum = p->H[i][j] - dot(p->cholesky[i], p->cholesky[j], j);
             if (i == j && !(sum > 0.0 && sum < INFINITY)) return 0;
             p->cholesky[i][j] = i == j ? sqrt(sum) : sum / p->cholesky[j][j];
         }}
@@ -70,7 +87,7 @@ static void substitute_back(const program *p, double *v)
 {{
     for (int i = VARIABLES - 1; i >= 0; i--) {{
         v[i] /= p->cholesky[i][i];
-        for (int j = 0; j < i; j++) v[j] -= p->cholesky[i][j] * v[i];
+        subtract(v, p->cholesky[i], v[i], i);
     }}
 }}
 
@@ -78,8 +95,7 @@ static void substitute_back(const program *p, double *v)
 static void substitute(const program *p, double *v, int first)
 {{
     for (int i = first; i < VARIABLES; i++) {{
-        for (int j = first; j < i; j++) v[i] -= p->cholesky[i][j] * v[j];
-        v[i] /= p->cholesky[i][i];
+        v[i] = (v[i] - dot(&p->cholesky[i][first], &v[first], i - first)) / p->cholesky[i][i];
     }}
 }}
 
@@ -87,17 +103,15 @@ static void substitute(const program *p, double *v, int first)
 static int append(program *p, int row, int side, int mode, double multiplier)
 {{
     int k = p->working, first = row < VARIABLES ? row : p->first[row - VARIABLES], hard = mode == HARD;
-    double size = 0.0, pivot;
+    double size, pivot;
     for (int i = 0; i < k; i++) hard += p->mode[i] == HARD;
     for (int j = 0; j < VARIABLES; j++) p->half[k][j] = row < VARIABLES ? j == row : p->G[row - VARIABLES][j];
     substitute(p, p->half[k], first);
-    for (int j = first; j < VARIABLES; j++) size += p->half[k][j] * p->half[k][j];
+    size = dot(p->half[k], p->half[k], VARIABLES);
     pivot = size += mode == SLACK ? 1.0 / QUADRATIC : 0.0;
     for (int i = 0; i < k; i++) {{
-        double sum = 0.0;
-        for (int j = first; j < VARIABLES; j++) sum += p->half[i][j] * p->half[k][j];
-        for (int j = 0; j < i; j++) sum -= p->lower[i][j] * p->lower[k][j];
-        p->lower[k][i] = sum;
+        p->lower[k][i] = dot(&p->half[i][first], &p->half[k][first], VARIABLES - first);
+        p->lower[k][i] -= dot(p->lower[i], p->lower[k], i);
     }}
     for (int i = 0; i < k; i++) {{
         double scaled = p->lower[k][i] / p->pivot[i];
@@ -143,22 +157,17 @@ static void delete(program *p, int which)
 /* x = (lower diag(pivot) lower')^-1 x */
 static void solve_factors(const program *p, double *x)
 {{
-    for (int i = 0; i < p->working; i++)
-        for (int j = 0; j < i; j++) x[i] -= p->lower[i][j] * x[j];
-    for (int i = p->working - 1; i >= 0; i--) {{
-        x[i] /= p->pivot[i];
-        for (int j = i + 1; j < p->working; j++) x[i] -= p->lower[j][i] * x[j];
-    }}
+    for (int i = 0; i < p->working; i++) x[i] -= dot(p->lower[i], x, i);
+    for (int i = 0; i < p->working; i++) x[i] /= p->pivot[i];
+    for (int i = p->working - 1; i > 0; i--) subtract(x, p->lower[i], x[i], i);
 }}
 
 /* v from the multipliers of the first rows, and of those that wait. */
 static void primal(program *p, int rows)
 {{
     for (int j = 0; j < VARIABLES; j++) p->v[j] = 0.0;
-    for (int i = 0; i < LARGEST; i++) {{
-        if (i == rows) i = LARGEST - p->waiting;
-        for (int j = 0; i < LARGEST && j < VARIABLES; j++) p->v[j] -= p->half[i][j] * p->multiplier[i];
-    }}
+    for (int i = 0; i < rows; i++) subtract(p->v, p->half[i], p->multiplier[i], VARIABLES);
+    for (int i = LARGEST - p->waiting; i < LARGEST; i++) subtract(p->v, p->half[i], p->multiplier[i], VARIABLES);
     substitute_back(p, p->v);
     for (int j = 0; j < VARIABLES; j++) p->v[j] += p->free[j];
 }}
@@ -232,8 +241,7 @@ static int enter(program *p, int row, int side, double multiplier)
         int k = p->working, blocks = -1;
         double step = INFINITY, slope;
         for (int i = 0; i < k; i++) {{
-            move[i] = 0.0;
-            for (int j = 0; j < VARIABLES; j++) move[i] -= p->half[i][j] * p->half[k][j];
+            move[i] = -dot(p->half[i], p->half[k], VARIABLES);
         }}
         solve_factors(p, move);
         move[k] = 1.0;
@@ -301,7 +309,11 @@ static int solve_program(program *p)
             continue;
         }} else {{
             row = violated(p, &side);
-            if (row < 0 && refined++) return SOLVED; /* the second step on the same set removes what rounding left */
+            if (row < 0 && refined++) {{ /* the second step on the same set removes what rounding left */
+                for (int j = 0; j < VARIABLES; j++)
+                    if (!(fabs(p->v[j]) < INFINITY)) return RUN_AWAY; /* numbers so large that they overflow */
+                return SOLVED;
+            }}
             if (row < 0) continue;
         }}
         refined = 0;

@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 from scipy import linalg
 
-from tras.paper import effects, plans, readings
+from tras.paper import effects, larger, plans, readings
 from tras.twin_rotor.plant import PlantParameters, jacobian, rest_point
 from tras.workflow import files
 
@@ -45,8 +45,8 @@ def evaluate(tables: dict[str, pd.DataFrame], models: dict) -> pd.DataFrame:
     ----------
     tables : dict of str to pandas.DataFrame
         ``readings`` and ``around`` (06_readings), ``metrics`` (03_validation), ``length`` (robustness_length of
-        05_robustness), ``comparison`` (07_comparison), ``control`` and ``motors``
-        (control_motors) of 11_control.
+        05_robustness), ``comparison`` (07_comparison), ``larger`` and ``gusts`` (larger_gusts) of 10_larger_models,
+        ``control`` and ``motors`` (control_motors) of 11_control.
     models : dict of str to KoopmanModel
         Vector fields with torques as input, of 02_identification; the first is the paper's dictionary.
 
@@ -70,9 +70,17 @@ def evaluate(tables: dict[str, pd.DataFrame], models: dict) -> pd.DataFrame:
         ("cost grows with the dimension, a fitting basis mitigates it", cost(grid, metrics)),
         ("it lays the ground for control", control(models, runs)),
     )
-    future = (("F2", "customized control plans", customized(runs, flights)),)
-    rows = [(f"C{i}", *claim) for i, claim in enumerate(claims, 1)] + [*future]
-    rows = [{"claim": name, "statement": statement, **row} for name, statement, row in rows]
+    future = (
+        ("higher-dimensional TRAS models", higher_dimensional(tables["larger"])),
+        ("non-polynomial models", non_polynomial(tables["larger"])),
+        ("models including external factors", external_factors(tables["larger"], tables["gusts"])),
+        ("customized control plans", customized(runs, flights)),
+    )
+    rows = [
+        {"claim": f"{letter}{i}", "statement": statement, **row}
+        for letter, group in (("C", claims), ("F", future))
+        for i, (statement, row) in enumerate(group, 1)
+    ]
     return pd.DataFrame(rows)[list(COLUMNS)]
 
 
@@ -336,8 +344,54 @@ def control(models: dict, runs: pd.DataFrame) -> dict:
     return _row(verdict, quantity, [own, min(rates.values()), max(rates.values())], evidence)
 
 
+def higher_dimensional(errors: pd.DataFrame) -> dict:
+    """F1: six states and motor commands in place of four states and torques, from the table of `tras.paper.larger`."""
+    accuracy = _rows(errors, part="accuracy")
+    ours, cubic = (_rows(accuracy, model=model) for model in (larger.OWN, "monomials, degree 3"))
+    by_rig = ours.groupby("rig", sort=False)
+    worst, lost = by_rig["nrmse"].max(), by_rig["diverged"].sum()
+    met = worst.index[(worst <= larger.LIMIT) & (lost == 0)]
+    evidence = (
+        f"{', '.join(f'{rig} {value:.2g}' for rig, value in worst.items())} % with N = {ours['N'].max()}, "
+        f"{lost.sum()} windows lost (at most {larger.LIMIT:g} % is asked for); monomials of degree 3 have up to "
+        f"{cubic['nrmse'].max():.2g} %"
+    )
+    verdict = _future(len(met) == len(worst), f"on one of two rigs, {met[0]}" if len(met) else "")
+    quantity = "NRMSE over 6 s windows, six states, the worse angle (%)"
+    return _row(verdict, quantity, _extremes(worst), evidence, "larger_accuracy")
+
+
+def non_polynomial(errors: pd.DataFrame) -> dict:
+    """F2: effects that no polynomial describes, one at a time."""
+    effect = _rows(errors, part="effects", model=larger.OWN)
+    worst = effect[effect["condition"] != "none"].groupby("condition", sort=False)["nrmse"].max()
+    stood = worst.index[worst < larger.SMALL]
+    errors_of = ", ".join(f"{name} {value:.2g} %" for name, value in worst.items())
+    evidence = f"{errors_of} (below {larger.SMALL:g} % is asked for)"
+    where = f"below {larger.SMALL:g} % with {', '.join(stood)}" if len(stood) else ""
+    verdict = _future(len(stood) == len(worst), where)
+    return _row(verdict, "NRMSE with one effect, the worse angle (%)", _extremes(worst), evidence, "larger_effects")
+
+
+def external_factors(errors: pd.DataFrame, estimates: pd.DataFrame) -> dict:
+    """F3: gusts, as a measured input, and estimated where they are not measured."""
+    ours = _rows(errors, model=larger.OWN, rig="maker")
+    measured = _rows(ours, part="gust", condition="measured").set_index("angle")["nrmse"]
+    calm = _rows(ours, part="accuracy").set_index("angle")["nrmse"]
+    ratio, share = (measured / calm[measured.index]).max(), estimates["share"]
+    evidence = (
+        f"estimated without being told of it to {share.max():.2g} of its RMS (at most {larger.SHARE:g} is asked for); "
+        f"as a measured input the error is {ratio:.2g} times that without a gust (at most {larger.WORSE:g})"
+    )
+    parts = {"estimated": share.max() <= larger.SHARE, "as a measured input": ratio <= larger.WORSE}
+    verdict = _future(all(parts.values()), next((name for name, met in parts.items() if met), ""))
+    return _row(
+        verdict, "RMS error of an estimated gust over its RMS", _extremes(share), evidence, "larger_gusts"
+    )  # fmt: skip
+
+
 def customized(runs: pd.DataFrame, flights: pd.DataFrame) -> dict:
-    """F2: closed loops of the true plant under controllers from identified models; `tras.paper.plans` says what counts.
+    """F4: closed loops of the true plant under controllers from identified models; `tras.paper.plans` says what counts.
 
     Parameters
     ----------
@@ -349,11 +403,11 @@ def customized(runs: pd.DataFrame, flights: pd.DataFrame) -> dict:
     asked, to_plant = plans.judged(runs, flights), plans.ratios(runs).to_numpy()
     parts = [f"{what}: {value}, {'met' if met else 'not met'}" for what, value, met in asked.itertuples(index=False)]
     intro = "MPC with the mechanical dictionary, identified from the paper's recording, on the true plant"
-    verdict = SHOWN if asked["met"].all() else SHOWN_IN_PART if asked["met"].any() else NOT_SHOWN
-    where = f"not met: {'; '.join(asked.loc[~asked['met'], 'asked'])}" if verdict == SHOWN_IN_PART else ""
+    unmet = f"not met: {'; '.join(asked.loc[~asked['met'], 'asked'])}"
+    verdict = _future(asked["met"].all(), unmet if asked["met"].any() else "")
     quantity = "error over that of the same MPC with the true plant, worst reference and angle"
-    numbers = [to_plant.max(), to_plant.min(), to_plant.max()] if to_plant.size else [math.nan] * 3
-    return _row((verdict, where), quantity, numbers, f"{intro}: {'; '.join(parts)}", "control_tracking")
+    numbers = _extremes(to_plant) if to_plant.size else [math.nan] * 3
+    return _row(verdict, quantity, numbers, f"{intro}: {'; '.join(parts)}", "control_tracking")
 
 
 def _slowest(matrix):
@@ -435,6 +489,16 @@ def _verdict(by_default, other=""):
 def _in_part(whole, part=""):
     """(verdict, condition): the claim holds, in the named part only, or not at all."""
     return (REPRODUCED, "default") if whole else (PARTLY, part) if part else (NOT, "")
+
+
+def _future(whole, part=""):
+    """(verdict, condition): shown, in the named part only, or not at all."""
+    return (SHOWN, "") if whole else (SHOWN_IN_PART, part) if part else (NOT_SHOWN, "")
+
+
+def _extremes(values):
+    """Value, low and high of a quantity whose worst case is its largest."""
+    return [values.max(), values.min(), values.max()]
 
 
 def _row(verdict, quantity, numbers, evidence, figure="", command="make all"):

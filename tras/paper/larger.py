@@ -17,7 +17,6 @@ from tras.dictionaries.monomials import Monomials
 from tras.dictionaries.radial import GaussianRBF
 from tras.generator import LogarithmError
 from tras.model import KoopmanModel
-from tras.paper.claims import COLUMNS
 from tras.paper.validation import judge
 from tras.recording import Recording, join
 from tras.twin_rotor import excitation
@@ -46,7 +45,6 @@ EFFECTS = {
 LIMIT = 0.05  # % of the range: the error of both angles on both rigs
 SMALL = 1.0  # %: an effect is stood where the error of both angles stays below
 SHARE, WORSE = 0.15, 2.0  # error of an estimated gust over its RMS; errors with a measured gust over those without
-SHOWN, IN_PART, NOT_SHOWN = "future work, shown", "future work, shown in part", "future work, not shown"
 
 
 @dataclass(frozen=True)
@@ -248,53 +246,3 @@ def _scores(study, model, train, test, /, *, states=STATE_NAMES, inputs=COMMAND_
         model.set_params(predictor="one_step").fit(pieces)
     about |= {"N": len(model.names_), "predictor": model.predictor}
     return [{**about, **row} for row in judge(windows, model.predict(windows))]
-
-
-def future_work(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
-    """The ledger of the paper's future work, in the form of the claims: what it names, and whether it is shown here."""
-    errors, estimates = tables["errors"], tables["gusts"]
-    own = errors[errors["model"] == OWN]
-    larger, effects, outside = (own[own["part"] == part] for part in ("accuracy", "effects", "gust"))
-    worst = larger.groupby("rig", sort=False)["nrmse"].max()
-    lost = int(larger["diverged"].sum())
-    cubic = errors[(errors["part"] == "accuracy") & (errors["model"] == "monomials, degree 3")]
-    rows = [
-        _row(
-            "F1", "higher-dimensional TRAS models", worst.max() <= LIMIT and not lost, worst.min() <= LIMIT,
-            "NRMSE over 6 s windows, six states, the worse angle (%)", worst,
-            f"{', '.join(f'{rig} {value:.2g}' for rig, value in worst.items())} % with N = {larger['N'].max()}, {lost} "
-            f"windows lost (at most {LIMIT:g} % is asked for); monomials of degree 3 have up to "
-            f"{cubic['nrmse'].max():.2g} %", "larger_accuracy",
-        )
-    ]  # fmt: skip
-    by_effect = effects[effects["condition"] != "none"].groupby("condition", sort=False)["nrmse"].max()
-    stood = by_effect[by_effect < SMALL]
-    rows.append(
-        _row(
-            "F2", "non-polynomial models", len(stood) == len(by_effect), len(stood) > 0,
-            "NRMSE with one effect, the worse angle (%)", by_effect,
-            f"below {SMALL:g} % with {', '.join(stood.index) or 'none'}; "
-            f"{', '.join(f'{name} {value:.2g} %' for name, value in by_effect.items())}", "larger_effects",
-        )
-    )  # fmt: skip
-    measured = outside[outside["condition"] == "measured"].set_index("angle")["nrmse"]
-    calm = larger[larger["rig"] == "maker"].set_index("angle")["nrmse"]
-    ratio, share = (measured / calm[measured.index]).max(), estimates["share"]
-    rows.append(
-        _row(
-            "F3", "models including external factors", share.max() <= SHARE and ratio <= WORSE,
-            share.max() <= SHARE or ratio <= WORSE, "RMS error of an estimated gust over its RMS", share,
-            f"estimated without being told of it to {share.max():.2g} of its RMS (at most {SHARE:g} is asked for); as "
-            f"a measured input the error is {ratio:.2g} times that without a gust (at most {WORSE:g})", "larger_gusts",
-        )
-    )  # fmt: skip
-    return pd.DataFrame(rows)[list(COLUMNS)]
-
-
-def _row(claim, statement, good, partly, quantity, values, evidence, figure):
-    values = np.asarray(values, dtype=float)
-    return {
-        "claim": claim, "statement": statement, "verdict": SHOWN if good else IN_PART if partly else NOT_SHOWN,
-        "quantity": quantity, "value": values.max(), "low": values.min(), "high": values.max(), "reading": "",
-        "evidence": evidence, "figure": f"figures/{figure}.png", "command": "make all",
-    }  # fmt: skip

@@ -8,6 +8,7 @@ from scipy.linalg import blas, lapack
 
 _EPS = np.finfo(float).eps
 _SPREAD = 2  # rows of a sketch that each row goes into
+_NOTHING = 2.0**-480  # a column whose entries are all smaller holds nothing: their squares are no numbers
 _RIDGE = 2.0**-36  # shortest direction of a basis, relative to the columns
 _TOGETHER = 16  # columns whose leading bits are taken at a time, in the cache
 _CANCELLED = 1e7  # terms of a row of B over their sum: beyond, rounding would be felt in the tenth digit
@@ -39,7 +40,7 @@ class Basis:
         ridge = np.zeros(p)
         if not lapack.dtrcon(R)[0] > _RIDGE:
             norms = np.linalg.norm(R, axis=0)
-            ridge = _RIDGE * np.where(norms > 0, norms, 1.0)
+            ridge = _RIDGE * np.where(norms > _NOTHING, norms, 1.0)
             R = householder(np.diag(ridge), R, triangular=True)
         T = lapack.dtrtri(R)[0]
         # Grid for T: rounding moves the rows of B by a fraction of their size. All partial sums of (bits of Psi) T are
@@ -193,9 +194,9 @@ def condition_number(gram) -> float:
 
 
 def powers_of_two(x) -> np.ndarray:
-    """For each column a power of two above its largest entry; 1 for a column of zeros."""
+    """For each column a power of two above its largest entry; 1 for a column that holds nothing."""
     largest = np.maximum(x.max(axis=0), -x.min(axis=0))
-    return np.ldexp(1.0, np.frexp(np.where(largest > 0, largest, 0.5))[1])
+    return np.ldexp(1.0, np.frexp(np.where(largest > _NOTHING, largest, 0.5))[1])
 
 
 def sums_of_squares(x) -> np.ndarray:

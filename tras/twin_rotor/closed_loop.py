@@ -175,7 +175,7 @@ def simulate_closed_loops(
     dt: float,
     parameters: Rig | Sequence[Rig] | None = None,
     *,
-    controllers: Sequence[PID] | Callable | None = None,
+    controllers: Sequence[PID] | Callable | Sequence[Callable] | None = None,
     preview: bool = False,
     x0: ArrayLike | None = None,
     noise: ArrayLike | None = None,
@@ -195,9 +195,11 @@ def simulate_closed_loops(
         Pitch and yaw reference in rad; a single one serves every run.
     parameters : PlantParameters, RotorParameters, or a sequence of either, optional
         One rig for all, or one per run.
-    controllers : (PID, PID) or callable, optional
+    controllers : (PID, PID), callable or sequence of callable, optional
         Pitch and yaw, for every run; default `PID.defaults` of the rigs' mean parameters. Or one for both, as for
-        `simulate_closed_loop`, reset before every run: then the runs are made one after the other.
+        `simulate_closed_loop`: the same for all runs, or a sequence with one per run. The runs are then made one after
+        the other, and each begins with the ``reset()`` of its controller; one that remembers without it has to be
+        given once per run.
     x0 : (n,) or (runs, n) array_like, optional
         Initial states, one for all or one per run.
     disturbances : (2,), (samples, 2) or (runs, samples, 2) array_like, optional
@@ -282,20 +284,21 @@ class _Outside:
 
 def _simulated(references, dt, rigs, controllers, x0, step, attributes, outside):
     """A `Recording` of the runs (runs, samples, 2) with everything that made it in its attributes."""
-    rig = rigs[0]
-    if isinstance(rig, RotorParameters) and not callable(controllers):
+    rig, (runs, samples) = rigs[0], references.shape[:2]
+    own = _own_controllers(controllers, runs)
+    if isinstance(rig, RotorParameters) and own is None:
         remedy = "give a controller of these, such as a tras.MPC, or use tras.simulate_motor_loop"
         raise ValueError(f"controllers are PIDs of torques, but the rig has motor commands; {remedy}.")
     controllers = PID.defaults(_mean(rigs)) if controllers is None else controllers
-    (runs, samples), n = references.shape[:2], len(rig.state_names)
+    n = len(rig.state_names)
     noise, gusts = outside.of(runs, samples, n)
-    if callable(controllers):
-        about = {"controller": repr(controllers)}
+    if own is not None:
+        about = {"controller": _one_or_all([repr(control) for control in own])}
     else:
         pid = dict(zip(("phi", "psi"), controllers))
         about = {f"pid_{axis}_{gain}": getattr(pid[axis], gain) for axis in pid for gain in "PID"}
         about |= {f"pid_{axis}_limits": list(pid[axis].limits) for axis in pid}
-    if runs >= BATCH and not callable(controllers):
+    if runs >= BATCH and own is None:
         control = _PIDPair(controllers, references, dt, _stacked(rigs), x0)
         states, torques = _loop(references, dt, _stacked(rigs), control, x0, step, noise, gusts)
     else:
@@ -303,8 +306,8 @@ def _simulated(references, dt, rigs, controllers, x0, step, attributes, outside)
         trajectories = []
         for run, (reference, rig, start) in enumerate(zip(references, rigs * (runs // len(rigs)), starts)):
             start = rotors.rest_point(rig) if start is None and isinstance(rig, RotorParameters) else start
-            if callable(controllers):
-                control = _Seeing(controllers, reference, outside.preview)
+            if own is not None:
+                control = _Seeing(own[run], reference, outside.preview)
             else:
                 control = _PIDPair(controllers, reference, dt, rig, start)
             parts = (None if part is None else part[run] for part in (noise, gusts))
@@ -327,6 +330,23 @@ def _simulated(references, dt, rigs, controllers, x0, step, attributes, outside)
             **(attributes or {}),
         },
     )
+
+
+def _own_controllers(controllers, runs):
+    """The controller of each run, or None if they are PIDs."""
+    if controllers is None:
+        return None
+    if callable(controllers):
+        return [controllers] * runs
+    callables = [callable(control) for control in controllers]
+    if not any(callables):
+        return None
+    if len(callables) != runs or not all(callables):
+        raise ValueError(
+            f"controllers holds {sum(callables)} callables for {runs} run{'s' if runs > 1 else ''}; give one for all, "
+            "or one per run."
+        )
+    return list(controllers)
 
 
 def _loop(reference, dt, rig, control, x0, step, noise=None, gusts=None):
