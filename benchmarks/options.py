@@ -98,6 +98,8 @@ def options(rng):
         drawn["stable"] = [True, 0.999, 0.9, 1][int(rng.integers(4))]
     if predictor == "one_step" and rng.random() < 0.3:
         drawn["columns"] = "states"
+    if predictor == "one_step" and rng.random() < 0.3:
+        drawn["horizon"] = int(rng.choice([2, 10, 100]))
     return drawn
 
 
