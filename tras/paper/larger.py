@@ -61,7 +61,7 @@ class Study:
     trajectory: float = 5.0
     window: float = 6.0
     train_seed: int = 1
-    test_seeds: tuple[int, ...] = (2, 3, 4, 5)
+    test_seeds: tuple[int, ...] = (6, 7, 8, 9)
     max_frequency: float = 1.0
     peak: tuple[float, float] = (0.6, 1.2)
     pitch: float = -0.25
