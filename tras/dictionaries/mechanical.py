@@ -38,8 +38,9 @@ class Mechanical(Dictionary):
     With *actuators*, states such as the speeds w of rotors, the forces are functions of these: polynomials of degree
     five and ``w|w|``, times functions of the shape; speeds and their squares times velocities (gyroscopic torques,
     inflow). An actuator follows its command with dynamics of its own, ``dw/dt = f(u) - h(w)``: both curves get
-    polynomials by themselves, and ``u|u|``. An input acts on the body too, as the reaction to ``dw/dt``. A position
-    that is no shape may have a spring that is not as stiff on both sides. For the twin rotor with its rotors N = 200.
+    polynomials by themselves, and ``u|u|``. An input acts on the body too, as the reaction to ``dw/dt``: the first
+    powers of its curve times functions of the shape. A position that is no shape may have a spring that is not as stiff
+    on both sides. What is small gets functions of the shape of lower degrees, so that N stays small. For the twin rotor with its rotors N = 200.
 
     Parameters
     ----------
@@ -172,7 +173,7 @@ class Mechanical(Dictionary):
 
     @property
     def margin(self) -> float:
-        """Wider with actuators: their curves and the shape's are smooth, and a fresh experiment soon leaves the data."""
+        """Wider with actuators: all curves are smooth there, and a fresh experiment soon leaves the data."""
         return _WIDE if self.actuators else MARGIN
 
     def _roles(self):
