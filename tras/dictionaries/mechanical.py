@@ -40,7 +40,8 @@ class Mechanical(Dictionary):
     inflow). An actuator follows its command with dynamics of its own, ``dw/dt = f(u) - h(w)``: both curves get
     polynomials by themselves, and ``u|u|``. An input acts on the body too, as the reaction to ``dw/dt``: the first
     powers of its curve times functions of the shape. A position that is no shape may have a spring that is not as stiff
-    on both sides. What is small gets functions of the shape of lower degrees, so that N stays small. For the twin rotor with its rotors N = 200.
+    on both sides. What is small gets functions of the shape of lower degrees, so that N stays small. For the twin
+    rotor with its rotors N = 200.
 
     Parameters
     ----------
