@@ -24,7 +24,7 @@ class Hull:
     confined : sequence of int, optional
         Channels that are held in the box, along their own axes, for a dictionary that is sound beyond the data in the
         others.
-    margin : float
+    margin : float or (channels,) array_like
         In half-ranges of the data along an axis.
     """
 
@@ -33,7 +33,7 @@ class Hull:
         self.centre = z.mean(axis=1, keepdims=True)
         turned = confined is None and z.shape[1] > 1  # a single point has no axes of its own
         self.axes = np.linalg.eigh(np.atleast_2d(np.cov(z)))[1] if turned else np.eye(channels)
-        self.free, self.margin = self.unconfined(channels, confined), margin
+        self.free, self.margin = self.unconfined(channels, confined), np.reshape(margin, (-1, 1))
         self.low, self.high = np.full((channels, 1), np.inf), np.full((channels, 1), -np.inf)
         self.widen(z)
 
@@ -60,7 +60,7 @@ class Hull:
             setattr(hull, name, require_numbers(f"hull.{name}", arrays.get(name, ()), shape))
         if (hull.low > hull.high).any() or np.abs(hull.axes.T @ hull.axes - np.eye(*channels)).max(initial=0.0) > 1e-6:
             raise ValueError("its hull is no box along orthogonal axes")
-        hull.free, hull.margin = free, margin
+        hull.free, hull.margin = free, np.reshape(margin, (-1, 1))
         return hull.settle()
 
     def merge(self, low: np.ndarray, high: np.ndarray) -> "Hull":

@@ -126,8 +126,8 @@ class Dictionary(BaseEstimator):
         return None
 
     @property
-    def margin(self) -> float:
-        """How far beyond the data the functions are still trusted, in half-ranges of the data."""
+    def margin(self) -> float | np.ndarray:
+        """How far beyond the data the functions are still trusted, in half-ranges; a number, or (n + m,) numbers."""
         return MARGIN
 
     def _learn(self, z):

@@ -20,8 +20,8 @@ _INFLOW, _OWN_INFLOW = 4, 1  # the square of that speed times a velocity, and ti
 _REACTION = {2: 1, 3: 2}  # the reaction to a command, by its power in the static curve, and with its sign
 _SIGNED_REACTION = 2
 _DRAG = 9  # highest power of an actuator's own drag
-_COMMAND = 9  # highest power of an input in its static curve
-_WIDE = 0.5  # margin of the hull with actuators, in half-ranges
+_COMMAND = 7  # highest power of an input in its static curve
+_WIDE = 0.5  # margin of the hull along positions, in half-ranges
 _INSIDE = 0.8  # a zero farther out than this, in half-ranges, is as good as an end of the range
 _SIGNED, _SIZE = 0, -1  # of a bend, where others are the degree of a polynomial: z|z| and |z| from the channel's zero
 
@@ -41,7 +41,7 @@ class Mechanical(Dictionary):
     polynomials by themselves, and ``u|u|``. An input acts on the body too, as the reaction to ``dw/dt``: the first
     powers of its curve times functions of the shape. A position that is no shape may have a spring that is not as stiff
     on both sides. What is small gets functions of the shape of lower degrees, so that N stays small. For the twin
-    rotor with its rotors N = 200.
+    rotor with its rotors N = 196.
 
     Parameters
     ----------
@@ -173,9 +173,12 @@ class Mechanical(Dictionary):
         return positions + actuators + list(range(n, n + self.n_inputs_)) if actuators else positions
 
     @property
-    def margin(self) -> float:
-        """Wider with actuators: all curves are smooth there, and a fresh experiment soon leaves the data."""
-        return _WIDE if self.actuators else MARGIN
+    def margin(self) -> float | np.ndarray:
+        """With actuators wider along positions, where all is smooth; curves are guesswork sooner."""
+        positions, _, _, actuators = self._roles()
+        margins = np.full(self.n_states_ + self.n_inputs_, MARGIN)
+        margins[positions] = _WIDE
+        return margins if actuators else MARGIN
 
     def _roles(self):
         n, actuators = self.n_states_, list(self.actuators or ())
