@@ -175,10 +175,11 @@ class Mechanical(Dictionary):
     @property
     def margin(self) -> float | np.ndarray:
         """With actuators wider along positions, where all is smooth; curves are guesswork sooner."""
-        positions, _, _, actuators = self._roles()
+        if not self.actuators:
+            return MARGIN
         margins = np.full(self.n_states_ + self.n_inputs_, MARGIN)
-        margins[positions] = _WIDE
-        return margins if actuators else MARGIN
+        margins[self._roles()[0]] = _WIDE
+        return margins
 
     def _roles(self):
         n, actuators = self.n_states_, list(self.actuators or ())
