@@ -56,7 +56,7 @@ def test_a_gust_is_estimated_from_what_the_model_misses():
 
 def tables(own=0.02, effect=0.5, share=0.01, measured=0.03, lost=0):
     rows = [
-        {"part": part, "rig": rig, "condition": condition, "model": model, "N": 199, "angle": angle, "nrmse": nrmse,
+        {"part": part, "rig": rig, "condition": condition, "model": model, "N": 196, "angle": angle, "nrmse": nrmse,
          "windows": 20, "diverged": lost}
         for part, rig, condition, model, nrmse in [
             ("accuracy", "maker", "", larger.OWN, own), ("accuracy", "Rotondo et al.", "", larger.OWN, own),
