@@ -12,7 +12,7 @@ from scipy import linalg
 from sklearn.base import clone
 
 from tras import koopman
-from tras.dictionaries.base import label
+from tras.dictionaries.base import MARGIN, label
 from tras.estimator import Channels
 from tras.hull import Hull, outward_rates
 from tras.io.npz import MAX_NUMBER, require_numbers
@@ -109,7 +109,8 @@ class Fit:
     def _widen_hull(self, block):
         if self.confines:
             z = np.hstack(block[:2]).T
-            self.hull = Hull(z, self.dictionary.confined) if self.hull is None else self.hull.widen(z)
+            new = self.hull is None
+            self.hull = Hull(z, self.dictionary.confined, self.dictionary.margin) if new else self.hull.widen(z)
         return block
 
     def emptied(self) -> "Fit":
@@ -125,11 +126,11 @@ class Fit:
 
     def restore(self, state):
         """Take over the rows of a `state` in place of its own."""
-        self.solver, self.hull = rows_and_hull(state, self.dictionary.confined)
+        self.solver, self.hull = rows_and_hull(state, self.dictionary)
 
     def merge(self, state):
         """Add the rows of a `state` whose fit began with this one's basis."""
-        solver, hull = rows_and_hull(state, self.dictionary.confined)
+        solver, hull = rows_and_hull(state, self.dictionary)
         if solver is not None:
             self.solver.merge(solver)
         if hull is not None:
@@ -216,7 +217,7 @@ def memory_needed(functions: int) -> int:
     return 8 * (panels + _MATRICES * functions**2)
 
 
-def rows_and_hull(state, confined=None) -> tuple[StreamingLeastSquares | None, Hull | None]:
+def rows_and_hull(state, dictionary=None) -> tuple[StreamingLeastSquares | None, Hull | None]:
     """Solver and hull of a `Fit.state`, None what is not in it; a ValueError if its arrays are not those of a state."""
     solver, hull = (
         {key.partition(".")[2]: value for key, value in state.items() if key.startswith(f"{kind}.")}
@@ -224,8 +225,9 @@ def rows_and_hull(state, confined=None) -> tuple[StreamingLeastSquares | None, H
     )
     if solver:
         _check_rows(solver)
-    free = Hull.unconfined(len(hull.get("low", ())), confined)
-    return StreamingLeastSquares.from_state(solver) if solver else None, Hull.restored(hull, free) if hull else None
+    free = Hull.unconfined(len(hull.get("low", ())), dictionary and dictionary.confined)
+    box = Hull.restored(hull, free, dictionary.margin if dictionary else MARGIN) if hull else None
+    return StreamingLeastSquares.from_state(solver) if solver else None, box
 
 
 def _check_rows(state):

@@ -3,11 +3,12 @@
 import numpy as np
 from scipy import linalg
 
+from tras.dictionaries.base import MARGIN
 from tras.io.npz import require_numbers
 
 
 class Hull:
-    """The box around the training data, along their principal axes, a quarter of the half-range wider on each side.
+    """The box around the training data, along their principal axes, wider by a margin on each side.
 
     Beyond it a dictionary is guesswork: monomials explode, Gaussians vanish. There the model's functions are evaluated
     at the nearest point of the box, P(z), and the rest of the way is linear: ``F(z) = W psi(P z) + S (z - P z)``.
@@ -23,16 +24,16 @@ class Hull:
     confined : sequence of int, optional
         Channels that are held in the box, along their own axes, for a dictionary that is sound beyond the data in the
         others.
+    margin : float or (channels,) array_like
+        In half-ranges of the data along an axis.
     """
 
-    margin = 0.25
-
-    def __init__(self, z, confined=None):
+    def __init__(self, z, confined=None, margin=MARGIN):
         channels = len(z)
         self.centre = z.mean(axis=1, keepdims=True)
         turned = confined is None and z.shape[1] > 1  # a single point has no axes of its own
         self.axes = np.linalg.eigh(np.atleast_2d(np.cov(z)))[1] if turned else np.eye(channels)
-        self.free = self.unconfined(channels, confined)
+        self.free, self.margin = self.unconfined(channels, confined), np.reshape(margin, (-1, 1))
         self.low, self.high = np.full((channels, 1), np.inf), np.full((channels, 1), -np.inf)
         self.widen(z)
 
@@ -51,7 +52,7 @@ class Hull:
         return {name: getattr(self, name) for name in ("centre", "axes", "low", "high")}
 
     @classmethod
-    def restored(cls, arrays, free):
+    def restored(cls, arrays, free, margin=MARGIN):
         """The hull that had these `arrays`; a ValueError if no hull can have them."""
         hull, channels = object.__new__(cls), np.shape(arrays.get("centre", ()))[:1]
         for name in ("centre", "axes", "low", "high"):
@@ -59,7 +60,7 @@ class Hull:
             setattr(hull, name, require_numbers(f"hull.{name}", arrays.get(name, ()), shape))
         if (hull.low > hull.high).any() or np.abs(hull.axes.T @ hull.axes - np.eye(*channels)).max(initial=0.0) > 1e-6:
             raise ValueError("its hull is no box along orthogonal axes")
-        hull.free = free
+        hull.free, hull.margin = free, np.reshape(margin, (-1, 1))
         return hull.settle()
 
     def merge(self, low: np.ndarray, high: np.ndarray) -> "Hull":

@@ -135,7 +135,8 @@ def _restored(header, arrays):
     attributes = {"hull_": None, "outward_": None, "outward_step_": None}
     if "hull.centre" in arrays:
         parts = {key: arrays.pop(f"hull.{key}") for key in ("centre", "axes", "low", "high")}
-        attributes["hull_"] = Hull.restored(parts, _free(header["free"], z + m, len(parts["centre"])))
+        free = _free(header["free"], z + m, len(parts["centre"]))
+        attributes["hull_"] = Hull.restored(parts, free, dictionary.margin)
     if "errors" in header:
         attributes["errors_"] = _errors(header["errors"])
     attributes["unsettled_"] = header.get("unsettled", [])

@@ -14,6 +14,7 @@ from sklearn.base import BaseEstimator, clone
 
 POSITIVE = "a positive number, in units of the scaled channels"  # what `tras.workflow.arguments.number` says to give
 MOST_DEGREE = 1000  # of a polynomial or a wave; what is beyond is a slip, and slow to count already
+MARGIN = 0.25  # of the box around the data in which functions are trusted (`tras.hull`), in half-ranges
 STRIP = 2**13  # points that are lifted at a time: what some dictionaries make on the way is no larger than that
 
 
@@ -123,6 +124,11 @@ class Dictionary(BaseEstimator):
     def confined(self) -> list[int] | None:
         """Numbers of the channels in which the functions are guesswork beyond the data (`tras.hull`); None is all."""
         return None
+
+    @property
+    def margin(self) -> float | np.ndarray:
+        """How far beyond the data the functions are still trusted, in half-ranges; a number, or (n + m,) numbers."""
+        return MARGIN
 
     def _learn(self, z):
         """Nothing depends on the data unless a subclass says so."""

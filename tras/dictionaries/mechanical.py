@@ -6,17 +6,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tras.dictionaries.base import MOST_DEGREE, Dictionary
+from tras.dictionaries.base import MARGIN, MOST_DEGREE, Dictionary
 from tras.workflow import arguments
 
-# Force of an actuator by its speed, beside the linear one: power -> how much lower the degree of its shape is.
-_FORCES = {2: 3, 3: 3, 4: 5, 5: 6}
-_SWITCHED = 2  # the same of the force with the sign of the speed, w|w|, and of what an input adds by itself
-_DRAG = 8  # highest power of an actuator's own drag
+# With actuators: how much lower than the dictionary's the degree of the shape is that multiplies something.
+_SPEED, _INPUT, _VELOCITY, _POSITION, _BENT = 2, 3, 2, 3, 3  # the last: force with the sign of the speed, w|w|
+_FORCES = {2: 4, 3: 4, 4: 5, 5: 6}  # the same by the power of a speed
+# The highest such degree of what is small, or depends little on the shape.
+_OWN = 2  # velocities of the shape, and their squares
+_SPRING = 5  # a spring that is not as stiff on both sides
+_GYRATION = 3  # an actuator's speed times a velocity
+_INFLOW, _OWN_INFLOW = 4, 1  # the square of that speed times a velocity, and times one of the shape
+_REACTION = {2: 1, 3: 2}  # the reaction to a command, by its power in the static curve, and with its sign
+_SIGNED_REACTION = 2
+_DRAG = 9  # highest power of an actuator's own drag
 _COMMAND = 7  # highest power of an input in its static curve
-_SPRING = 3  # degree of the shape, at most, with a spring that is not as stiff on both sides
-_GYRATION = 2  # degree of the shape, at most, with an actuator's speed times a velocity
-_INFLOW = 2  # the same with the square of that speed
+_WIDE = 0.5  # margin of the hull along positions and actuators, in half-ranges
 _INSIDE = 0.8  # a zero farther out than this, in half-ranges, is as good as an end of the range
 _SIGNED, _SIZE = 0, -1  # of a bend, where others are the degree of a polynomial: z|z| and |z| from the channel's zero
 
@@ -33,8 +38,10 @@ class Mechanical(Dictionary):
     With *actuators*, states such as the speeds w of rotors, the forces are functions of these: polynomials of degree
     five and ``w|w|``, times functions of the shape; speeds and their squares times velocities (gyroscopic torques,
     inflow). An actuator follows its command with dynamics of its own, ``dw/dt = f(u) - h(w)``: both curves get
-    polynomials by themselves, and ``u|u|``. An input acts on the body too, as the reaction to ``dw/dt``. A position
-    that is no shape may have a spring that is not as stiff on both sides. For the twin rotor with its rotors N = 199.
+    polynomials by themselves, and ``u|u|``. An input acts on the body too, as the reaction to ``dw/dt``: the first
+    powers of its curve times functions of the shape. A position that is no shape may have a spring that is not as stiff
+    on both sides. What is small gets functions of the shape of lower degrees, so that N stays small. For the twin
+    rotor with its rotors N = 196.
 
     Parameters
     ----------
@@ -132,23 +139,23 @@ class Mechanical(Dictionary):
             words = [(), *((j,) for j in inputs), *((v,) for v in velocities), *((p,) for p in others), *pairs]
             return [(word, D, None) for word in words]
         groups = [((), D, None)]
-        # The damping of the shape's own velocities, and their squares, change little with the shape.
         own = {velocity for position, velocity in zip(positions, velocities) if position in shape}
-        words = [*((v,) for v in velocities), *((p,) for p in others), *pairs]
-        groups += [(word, D - D // 2 * (set(word) <= own), None) for word in words]
-        groups += [((j,), max(0, D - _SWITCHED), None) for j in inputs]
+        for word in [*((v,) for v in velocities), *pairs]:
+            groups.append((word, min(D, _OWN) if set(word) <= own else max(0, D - _VELOCITY), None))
+        groups += [((p,), max(0, D - _POSITION), None) for p in others]
+        groups += [((j,), max(0, D - _INPUT), None) for j in inputs]
         for a in actuators:
             signed = [(a, _SIGNED)] * self._bent(a)
-            groups.append(((a,), D, None))
+            groups.append(((a,), max(0, D - _SPEED), None))
             groups += [((), max(0, D - less), (a, power)) for power, less in _FORCES.items()]
-            groups += [((), max(0, D - _SWITCHED), bend) for bend in signed]
+            groups += [((), max(0, D - _BENT), bend) for bend in signed]
             groups += [((), 0, (a, power)) for power in range(max(_FORCES) + 1, _DRAG + 1)]
             for v in velocities:
-                groups.append(((a, v), min(D, _GYRATION), None))
-                groups += [((v,), min(D, _INFLOW), bend) for bend in [(a, 2), *signed]]
+                inflow = min(D, _OWN_INFLOW if v in own else _INFLOW)
+                groups += [((a, v), min(D, _GYRATION), None), *(((v,), inflow, bend) for bend in [(a, 2), *signed])]
         for j in inputs:
-            kinds = [*range(2, _COMMAND + 1), *[_SIGNED] * self._bent(j)]
-            groups += [((), 0, (j, kind)) for kind in kinds]
+            groups += [((), min(D, _REACTION.get(power, 0)), (j, power)) for power in range(2, _COMMAND + 1)]
+            groups += [((), min(D, _SIGNED_REACTION), (j, _SIGNED))] * self._bent(j)
         return groups + [((), min(D, _SPRING), (p, _SIZE)) for p in others if self._bent(p)]
 
     def _bent(self, channel):
@@ -164,6 +171,15 @@ class Mechanical(Dictionary):
         positions, _, _, actuators = self._roles()
         n = self.n_states_
         return positions + actuators + list(range(n, n + self.n_inputs_)) if actuators else positions
+
+    @property
+    def margin(self) -> float | np.ndarray:
+        """With actuators wider along positions and their speeds, where all is smooth; curves of inputs are guesswork."""
+        if not self.actuators:
+            return MARGIN
+        margins = np.full(self.n_states_ + self.n_inputs_, MARGIN)
+        margins[[*self._roles()[0], *self.actuators]] = _WIDE
+        return margins
 
     def _roles(self):
         n, actuators = self.n_states_, list(self.actuators or ())

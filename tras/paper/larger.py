@@ -41,7 +41,11 @@ EFFECTS = {
     "saturation": {"saturation": (0.4, 0.3)},
 }
 # Fixed before looking: what makes each kind of future work "shown". Not so the recordings: tests of one seed, then of
-# four, then without their start; the ratio of a measured gust is within its limit in the last of these designs alone.
+# four, then without their start; the ratio of a measured gust is within its limit in the last of these designs. They
+# had, in the worse angle of the maker's rig and of the other, 0.032 % and 0.24 %,
+# and training on 20 runs of 25 s with less motion, which is not used, 0.028 % and 0.0035 %.
+# Then the dictionary's degrees were allotted anew, by what its functions leave of the rates of eight rigs, these two
+# among them, with the tests' states in view. So the tests have other seeds, fixed before anything was judged on them.
 LIMIT = 0.05  # % of the range: the error of both angles on both rigs
 SMALL = 1.0  # %: an effect is stood where the error of both angles stays below
 SHARE, WORSE = 0.15, 2.0  # error of an estimated gust over its RMS; errors with a measured gust over those without
@@ -59,7 +63,7 @@ class Study:
     trajectory: float = 5.0
     window: float = 6.0
     train_seed: int = 1
-    test_seeds: tuple[int, ...] = (2, 3, 4, 5)
+    test_seeds: tuple[int, ...] = (6, 7, 8, 9)
     max_frequency: float = 1.0
     peak: tuple[float, float] = (0.6, 1.2)
     pitch: float = -0.25
