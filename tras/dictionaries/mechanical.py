@@ -174,7 +174,7 @@ class Mechanical(Dictionary):
 
     @property
     def margin(self) -> float | np.ndarray:
-        """With actuators wider along positions and their speeds, where all is smooth; curves of inputs are guesswork."""
+        """With actuators wider along positions and their speeds, where all is smooth; curves of inputs are not."""
         if not self.actuators:
             return MARGIN
         margins = np.full(self.n_states_ + self.n_inputs_, MARGIN)
