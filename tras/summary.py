@@ -70,7 +70,7 @@ def _dynamics(model):
 
 def _beyond(model):
     return (
-        ["beyond the training data, plus a quarter, the model is linear and damped"] if model.hull_ is not None else []
+        ["beyond the training data, plus a margin, the model is linear and damped"] if model.hull_ is not None else []
     )
 
 
