@@ -173,6 +173,15 @@ def test_an_angle_that_never_settles_has_no_settling_time(paths):
 
 
 @pytest.mark.slow
+def test_runs_that_a_rounding_unit_changes_are_in_no_file():
+    names = ("MPC, cubic", "MPC, the paper's", "MPC, linear")
+    runs = pd.DataFrame([case(n, reference=r, preview=p) for n in names for r in ("paper", "fast") for p in (0, 1)])
+    rest = control.repeatable(runs.astype({"preview": bool}))
+    assert list(runs.index.difference(rest.index)) == [0, 1, 2, 3, 4]
+    flights = pd.DataFrame({"controller": names, "gust": 0.0})  # no reference, no preview
+    assert list(control.repeatable(flights)["controller"]) == list(names[1:])
+
+
 def test_a_good_model_flies_as_the_plant_does_and_the_study_repeats(models, paths, experiment, tmp_path):
     options = {"controllers": ("PID", control.OURS, control.BOUND), "rigs": 1, "changed": ()}
     study = control.Study(**{**vars(SMALL), **options})
