@@ -255,7 +255,7 @@ def test_the_search_finds_what_made_the_data(identification, log):
     chosen, least = table[table["chosen"]].iloc[0], table["error"].min()
     assert chosen["error"] <= 1.2 * least
     assert chosen["functions"] <= table[table["error"] <= 1.1 * least]["functions"].min()
-    assert not table.duplicated(["states", "delays", "lead", "predictor", "dictionary"]).any()
+    assert not table.duplicated(["states", "delays", "lead", "predictor", "horizon", "dictionary"]).any()
     numbers = identification.metrics.set_index(["prediction", "state"])["nrmse"]
     assert (numbers["model"] < 0.2).all() and (numbers["linear model"] > 5).all()  # the noise is 0.03 % of the range
     assert identification.model.pairs_ == 5 * 500 - 0 and len(identification.ensemble) == 5

@@ -75,7 +75,7 @@ class Mechanical(Dictionary):
     ['T2(q)', 'T1(q) u', 'T2(q) u', 'T1(q) v', 'T2(q) v', 'v v', 'T1(q) v v', 'T2(q) v v']
     >>> rotor = Mechanical(1, actuators=[2]).fit(np.zeros((501, 3)), np.zeros((501, 1)))
     >>> rotor.feature_names(["q", "v", "w", "u"])[8:14]
-    ['T1(q) w', 'T2(w)', 'T3(w)', 'T4(w)', 'T5(w)', 'w|w|']
+    ['T2(w)', 'T3(w)', 'T4(w)', 'T5(w)', 'w|w|', 'T6(w)']
     """
 
     def __init__(
