@@ -154,7 +154,7 @@ lint: $(READY) ## maintain | 1 s | ruff, as configured in pyproject.toml
 check: lint ## maintain | 2 min | for a developer: lint, layers, and every test that is not slow
 	@MPLBACKEND=Agg $(PYTEST) -q -x -m "not slow"
 
-test: $(READY) ## maintain | 18 min | unit tests, then every notebook of the small profile rerun and compared
+test: $(READY) ## maintain | 12 min | unit tests, then every notebook of the small profile rerun and compared
 	@failed=; \
 	MPLBACKEND=Agg $(PYTEST) || failed="unit tests"; \
 	$(MAKE) PROFILE=smoke stages \
