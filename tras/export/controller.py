@@ -63,7 +63,6 @@ void ${name}_init(void)
 {
     is_first = 1;
     for (int j = 0; j < INPUTS; j++) last_u[j] = 0.0 < lowest[j] ? lowest[j] : 0.0 > highest[j] ? highest[j] : 0.0;
-    start_estimate();
     start_inputs();
 }
 

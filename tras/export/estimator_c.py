@@ -7,10 +7,6 @@ static double last_u[INPUTS];       /* in physical units */
 WITHOUT_OBSERVER = """\
 static double past_x[DELAYS + 1][PRESENT], past_u[DELAYS + 1][INPUTS];
 
-static void start_estimate(void)
-{
-}
-
 /* What is not known yet was as the oldest that is known. */
 static void estimate(const double *x, double *z, double *of_inputs, double *of_states)
 {
@@ -37,10 +33,6 @@ static void remember(void)
 """
 OBSERVER = """\
 static double estimated[ALL], covariance[ALL][ALL]; /* of z and of the disturbances */
-
-static void start_estimate(void)
-{
-}
 
 /* What the estimated disturbances add to the inputs, and to the states after a sample. */
 static void disturb(double *of_inputs, double *of_states)

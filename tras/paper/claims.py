@@ -385,9 +385,8 @@ def external_factors(errors: pd.DataFrame, estimates: pd.DataFrame) -> dict:
     )
     parts = {"estimated": share.max() <= larger.SHARE, "as a measured input": ratio <= larger.WORSE}
     verdict = _future(all(parts.values()), next((name for name, met in parts.items() if met), ""))
-    return _row(
-        verdict, "RMS error of an estimated gust over its RMS", _extremes(share), evidence, "larger_gusts"
-    )  # fmt: skip
+    quantity = "RMS error of an estimated gust over its RMS"
+    return _row(verdict, quantity, _extremes(share), evidence, "larger_gusts")
 
 
 def customized(runs: pd.DataFrame, flights: pd.DataFrame) -> dict:
