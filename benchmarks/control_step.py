@@ -35,7 +35,7 @@ def models(rig):
 def times(controller, reference, rig):
     """Milliseconds of every step and of its program, over a closed loop."""
     steps, programs = [], []
-    solve = controller._program.solve
+    solve = controller.program.solve
 
     def timed(*arguments):
         start = time.process_time()
@@ -50,7 +50,7 @@ def times(controller, reference, rig):
         steps.append(1e3 * (time.process_time() - start))
         return u
 
-    step.horizon, controller._program.solve = controller.horizon, timed
+    step.horizon, controller.program.solve = controller.horizon, timed
     run = tras.simulate_closed_loop(reference, 0.01, rig, controllers=step, preview=True)
     torques, (low, high) = run.inputs[0][:, 2:], np.transpose(rig.input_limits)
     return np.array(steps), np.array(programs), ((torques <= low) | (torques >= high)).any(axis=1).mean()

@@ -122,6 +122,13 @@ def test_what_was_never_excited_is_said(model):
     assert "never excited" not in " ".join(warnings(near))
 
 
+def test_an_observer_that_began_anew_is_said(model):
+    made = design(model, QUICK)
+    assert "began anew" not in " ".join(warnings(made))
+    made.controller.observer.restarts = 2
+    assert "The observer began anew 2 times" in " ".join(warnings(made))
+
+
 @pytest.mark.parametrize(
     "settings, sentence",
     [

@@ -27,7 +27,7 @@ def at_rest(model, kind, **options):
     followed = model.state_names_[::2]
     limits = [(-99, 99)] * len(model.input_names_)
     controller = kind(model, weights=dict.fromkeys(followed, 1.0), limits=limits, **options)
-    c, predictor, rows = controller.channels, controller.predictor, controller._rows
+    c, predictor, rows = controller.channels, controller.predictor, controller.rows
     z, goal = predictor.start([c.x_offset], [c.u_offset]), c.x_offset[rows] + 0.05
     for _ in range(400):
         u = (controller(z * c.x_scale + c.x_offset, goal) - c.u_offset) / c.u_scale

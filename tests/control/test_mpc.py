@@ -120,7 +120,7 @@ def test_held_inputs_are_held_in_the_plan(true_plant):
 
 
 def failing(monkeypatch, controller, status="time limit"):
-    monkeypatch.setattr(controller._program, "solve", lambda *_, **__: Solution(None, status, np.empty(0), 0))
+    monkeypatch.setattr(controller.program, "solve", lambda *_, **__: Solution(None, status, np.empty(0), 0))
 
 
 def test_a_program_that_does_not_solve_leaves_the_rest_of_the_last_plan(true_plant, monkeypatch):
@@ -155,7 +155,7 @@ def test_without_any_plan_it_stays_within_the_limits(true_plant, monkeypatch, pa
 
 def test_a_real_limit_of_iterations_is_survived(true_plant, monkeypatch):
     controller = tras.MPC(true_plant, horizon=20, weights=WEIGHTS)
-    controller._program = qp.Program(iterations=2)
+    controller.program = qp.Program(iterations=2)
     for _ in range(3):
         u = controller([0.1, 0, 0, 0], [0.8, 3.0])
     assert controller.status == "iteration limit" and controller.failures == 3 and np.isfinite(u).all()

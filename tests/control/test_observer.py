@@ -120,6 +120,9 @@ def test_it_begins_anew_where_the_model_runs_away():
     q, v = np.array([observer.update([0.3], [0.3]) for _ in range(30)]).T
     assert np.allclose(q, 0.3, atol=1e-3) and np.isfinite(v).all() and np.abs(v).max() > 1e9
     assert (v == 0).sum() > 1 and np.isfinite(observer.covariance).all()
+    assert observer.restarts == (v == 0).sum() - 1
+    observer.reset()
+    assert observer.restarts == 0
 
 
 def test_it_begins_anew_after_a_reset(true_plant):

@@ -19,6 +19,8 @@ class Controller:
     ----------
     followed : tuple of str
         The states that follow the reference, in the order of its columns.
+    rows : (p,) ndarray
+        Their indices.
     u : (m,) ndarray or None
         The last input, in physical units.
     disturbance : ndarray
@@ -33,12 +35,12 @@ class Controller:
         self.predictor = predictor(model)
         c = self.channels = self.predictor.channels
         self.weights = per_channel("weights", weights, c.state_names, 1 / c.x_scale**2, missing=0.0)
-        self._rows = np.flatnonzero(self.weights)
+        self.rows = np.flatnonzero(self.weights)
         if isinstance(weights, Mapping):  # the reference has its columns in this order
-            self._rows = np.array([c.state_names.index(name) for name in weights if weights[name]], dtype=int)
-        if not len(self._rows):
+            self.rows = np.array([c.state_names.index(name) for name in weights if weights[name]], dtype=int)
+        if not len(self.rows):
             raise ValueError(f"weights is {weights!r}; give a positive weight to at least one state.")
-        self.followed = tuple(c.state_names[i] for i in self._rows)
+        self.followed = tuple(c.state_names[i] for i in self.rows)
         self.limits = pairs("limits", limits, c.input_names, self.predictor.limits)
         if observer is not None and not isinstance(observer, Observer):
             raise ValueError(f"observer is {observer!r}; give a tras.Observer of the same model, or None.")
@@ -82,7 +84,7 @@ class Controller:
         """
         c = self.channels
         x, reference = np.asarray(x, dtype=float), np.asarray(reference, dtype=float)
-        p = len(self._rows)
+        p = len(self.rows)
         if reference.ndim not in (1, 2) or reference.shape[-1] != p or not reference.size:
             raise ValueError(
                 f"reference has shape {reference.shape}; give ({p},) or (samples, {p}): {', '.join(self.followed)}."
@@ -90,7 +92,7 @@ class Controller:
         if not np.isfinite(reference).all():
             raise ValueError("reference holds NaN or infinity; give finite numbers.")
         estimate = self._estimate(x)
-        wanted = (np.atleast_2d(reference) - c.x_offset[self._rows]) / c.x_scale[self._rows]
+        wanted = (np.atleast_2d(reference) - c.x_offset[self.rows]) / c.x_scale[self.rows]
         u = self._inputs(*estimate, wanted) * c.u_scale + c.u_offset
         self.u = np.clip(u, *self.limits.T)
         self._inputs_before.appendleft(self.u)
@@ -116,5 +118,5 @@ class Controller:
         return ((self.limits - c.u_offset[:, None]) / c.u_scale[:, None]).T
 
     def __repr__(self):
-        followed = ", ".join(f"{name!r}: {self.weights[i]:.4g}" for name, i in zip(self.followed, self._rows))
+        followed = ", ".join(f"{name!r}: {self.weights[i]:.4g}" for name, i in zip(self.followed, self.rows))
         return f"{type(self).__name__}(weights={{{followed}}})"

@@ -155,7 +155,7 @@ def _settable(model):
 
 def _plan(controller, run):
     """Levels of the followed states (steps, p), samples of each, the disturbance (m,); in physical units."""
-    c, rows = controller.channels, controller._rows
+    c, rows = controller.channels, controller.rows
     middle, half = c.x_offset[rows], c.x_scale[rows]
     levels = middle + np.outer(_STEPS, half)
     given = run.get("reference") or {}
@@ -206,7 +206,7 @@ def _simulate(controller, levels, samples, disturbance):
         u = controller(x, goal)
         rows.append([k * c.dt, getattr(controller, "status", "solved") == "solved", *x, *u, *goal])
         if (k + 1) % samples == 0:
-            wanted = (goal - c.x_offset[controller._rows]) / c.x_scale[controller._rows]
+            wanted = (goal - c.x_offset[controller.rows]) / c.x_scale[controller.rows]
             estimate = z, np.zeros(m), np.zeros(len(z))
             if controller.observer is not None:
                 estimate = controller.observer.estimate
@@ -250,7 +250,7 @@ def _effective(controller, settings):
     """All settings but the run with the values that they have: plain numbers of a few digits, for YAML."""
     c, is_mpc = controller.channels, isinstance(controller, MPC)
     settings = {"controller": "mpc" if is_mpc else "lqr"} | settings
-    settings["weights"] = _by_name(controller.followed, controller.weights[controller._rows])
+    settings["weights"] = _by_name(controller.followed, controller.weights[controller.rows])
     settings["limits"] = _pairs(c.input_names, controller.limits)
     if is_mpc:
         settings |= {"horizon": controller.horizon, "rate_weights": _by_name(c.input_names, controller.rate_weights)}

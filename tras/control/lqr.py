@@ -11,7 +11,7 @@ from tras.control.observer import Observer
 from tras.control.options import Numbers, Pairs, per_channel
 
 _INPUT_WEIGHT = 1e-2  # of an input of a half-range, where an error of a half-range counts 1
-_ROUNDS = 20
+ROUNDS = 20  # of Newton's method at most
 
 
 class LQR(Controller):
@@ -34,8 +34,8 @@ class LQR(Controller):
 
     Attributes
     ----------
-    gain : (m, n') ndarray
-        K in physical units; of the delayed samples too.
+    gain, K : (m, n') ndarray
+        In physical units and in scaled channels; of the delayed samples too.
 
     Raises
     ------
@@ -85,8 +85,8 @@ class LQR(Controller):
                 f"weights leave the linear quadratic problem without a solution ({error}); give positive "
                 "input_weights, and a weight to a state that shows every mode that is not stable by itself."
             ) from None
-        self._K = np.linalg.solve(np.diag(self.input_weights * c.u_scale**2) + B.T @ P @ B, B.T @ P @ A)
-        self.gain = self._K * c.u_scale[:, None] / c.z_scale
+        self.K = np.linalg.solve(np.diag(self.input_weights * c.u_scale**2) + B.T @ P @ B, B.T @ P @ A)
+        self.gain = self.K * c.u_scale[:, None] / c.z_scale
 
     def reset(self) -> None:
         """Forget everything about the run so far."""
@@ -95,14 +95,14 @@ class LQR(Controller):
 
     def _inputs(self, z, of_inputs, of_states, reference):
         z_s, u_s = self._at_rest(of_inputs, of_states, reference[0], z)
-        return u_s - self._K @ (z - z_s)
+        return u_s - self.K @ (z - z_s)
 
     def _at_rest(self, of_inputs, of_states, reference, z):
         """State and input at rest, in scaled channels, by Newton's method from the last one."""
-        count, m, rows = len(z), len(of_inputs), self._rows
+        count, m, rows = len(z), len(of_inputs), self.rows
         state, u = (z.copy(), -of_inputs) if self._target is None else self._target
         residual = np.inf
-        for _ in range(_ROUNDS):
+        for _ in range(ROUNDS):
             later, slopes = self.predictor.advance_with_slopes(state[:, None], (u + of_inputs)[:, None])
             missing = np.concatenate([state - later[:, 0] - of_states, state[rows] - reference])
             slope = np.zeros((count + len(rows), count + m))

@@ -105,15 +105,15 @@ def _law(controller, plant, gains):
     if observer is None:
         return by_input, by_state, by_input, by_state
     (A, B), count = plant, len(plant[0])
-    on_inputs, on_states = observer._on_inputs, observer._on_states
+    on_inputs, on_states = observer.on_inputs, observer.on_states
     d = on_inputs.shape[1]
     by_disturbance = by_input_disturbance @ on_inputs + by_state_disturbance @ on_states
     F = np.block([[A, B @ on_inputs + on_states], [np.zeros((d, count)), np.eye(d)]])
     G = np.vstack([B, np.zeros((d, m))])
-    trial, rows, c = copy.copy(observer), observer._rows, controller.channels
+    trial, rows, c = copy.copy(observer), observer.rows, controller.channels
     trial._predict((controller.u - c.u_offset) / c.u_scale)
     P = trial.covariance
-    gain = np.linalg.solve(P[np.ix_(rows, rows)] + observer._R, P[rows]).T
+    gain = np.linalg.solve(P[np.ix_(rows, rows)] + observer.R, P[rows]).T
     measured = np.eye(count + d)[rows]
     keep = np.eye(count + d) - gain @ measured
     by_estimate = np.hstack([by_state, by_disturbance])

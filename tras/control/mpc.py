@@ -13,7 +13,7 @@ from tras.workflow.arguments import number, whole_number
 
 _RATE_WEIGHT = 1e-3  # of a change of an input by its half-range, where an error of a half-range counts 1
 _ASTRAY = "the predictions run away"
-_FIRST = 10  # rounds at most for the first plan, which has none before it
+FIRST_ROUNDS = 10  # rounds at most for the first plan, which has none before it
 
 
 class MPC(Controller):
@@ -68,6 +68,9 @@ class MPC(Controller):
         How often that was.
     plan, states_planned : (horizon, m) and (horizon, n) ndarray
         Inputs from now on, and the states that they are predicted to lead to one sample later each, in physical units.
+    blocks : (horizon,) ndarray of int
+        Which input of the plan's own each sample has.
+    program : tras.control.qp.Program
 
     Raises
     ------
@@ -107,8 +110,8 @@ class MPC(Controller):
         whole_number("iterations", iterations)
         number("time_limit", time_limit, 0, give="seconds, or 0 for no limit")
         self.horizon, self.iterations = horizon, iterations
-        self._blocks = _blocks(moves, horizon)
-        self._program = Program(time_limit=time_limit)
+        self.blocks = _blocks(moves, horizon)
+        self.program = Program(time_limit=time_limit)
         super().__init__(model, weights, limits, observer, offset_free)
         c = self.channels
         inputs, n = c.input_names, len(c.state_names)
@@ -121,9 +124,9 @@ class MPC(Controller):
 
     def _prepare(self):
         """What stays the same from sample to sample, in scaled channels."""
-        c, blocks, m = self.channels, self._blocks, len(self.channels.input_names)
+        c, blocks, m = self.channels, self.blocks, len(self.channels.input_names)
         moves = blocks[-1] + 1
-        self._error_scale = np.sqrt(self.weights[self._rows]) * c.x_scale[self._rows]
+        self._error_scale = np.sqrt(self.weights[self.rows]) * c.x_scale[self.rows]
         # Changes between moves: the first from the last input.
         changes = np.eye(moves * m) - np.eye(moves * m, k=-m)
         weights = np.tile(self.rate_weights * c.u_scale**2, moves)
@@ -144,7 +147,7 @@ class MPC(Controller):
         super().reset()
         self.status, self.failures = "no step yet", 0
         self._z = self._u = None
-        self._program.forget()
+        self.program.forget()
 
     @property
     def plan(self) -> np.ndarray:
@@ -173,7 +176,7 @@ class MPC(Controller):
             before = (self.u - self.channels.u_offset) / self.channels.u_scale
             u, states = np.vstack([self._u[1:], self._u[-1:]]), self._z[1:]
         later = None
-        for _ in range(_FIRST if first else self.iterations):
+        for _ in range(FIRST_ROUNDS if first else self.iterations):
             horizon = self._horizon(z, states, u, of_inputs, of_states)
             if horizon is None:
                 self.status = _ASTRAY
@@ -182,7 +185,7 @@ class MPC(Controller):
             self.status = solution.status
             if solution.v is None:
                 break
-            moves = solution.v.reshape(-1, u.shape[1])[self._blocks]
+            moves = solution.v.reshape(-1, u.shape[1])[self.blocks]
             settled = first and np.abs(moves - u).max() < 1e-6
             later = horizon.free + horizon.response.reshape(*horizon.free.shape, -1) @ solution.v
             u, states = moves, np.vstack([z, later[:-1]])
@@ -202,13 +205,13 @@ class MPC(Controller):
         """The linear predictions, or None where the plan has gone where the model has no finite ones."""
         try:
             with np.errstate(over="ignore", invalid="ignore"):
-                horizon = self.predictor.horizon(z, states, u, *disturbances, self._blocks)
+                horizon = self.predictor.horizon(z, states, u, *disturbances, self.blocks)
         except (ValueError, ArithmeticError):  # so `tras.twin_rotor` says that it cannot go on
             return None
         return horizon if np.isfinite(horizon.free).all() and np.isfinite(horizon.response).all() else None
 
     def _solve(self, horizon, reference, before):
-        N, rows = self.horizon, self._rows
+        N, rows = self.horizon, self.rows
         response = horizon.response.reshape(*horizon.free.shape, -1)
         weighted = (response[:, rows] * self._error_scale[:, None]).reshape(N * len(rows), -1)
         errors = ((horizon.free[:, rows] - reference) * self._error_scale).ravel()
@@ -236,9 +239,9 @@ class MPC(Controller):
             lower.append(self._state_low - free), upper.append(self._state_high - free)
             soft.append(np.ones(len(free), dtype=bool))
         if not G:
-            return self._program.solve(H, f, self._low, self._high)
+            return self.program.solve(H, f, self._low, self._high)
         parts = (np.concatenate(part) for part in (lower, upper, soft))
-        return self._program.solve(H, f, self._low, self._high, np.vstack(G), *parts)
+        return self.program.solve(H, f, self._low, self._high, np.vstack(G), *parts)
 
 
 def _blocks(moves, horizon):

@@ -52,6 +52,15 @@ class Observer:
         Its estimate, in the units of these inputs or states.
     covariance : (n' + disturbed, n' + disturbed) ndarray
         Of the estimate's error, in scaled channels.
+    restarts : int
+        How often the filter began anew since the last `reset`.
+    rows : (measured,) ndarray
+        Indices of the measured states.
+    on_inputs, on_states : (m, disturbed) and (n', disturbed) ndarray
+        Where the disturbances are added.
+    R, Q, gusts : (measured, measured), (n' + disturbed, n' + disturbed) and (m,) ndarray
+        Covariance of the measurements and of what is added in a sample, and the deviation of what acts on the inputs
+        besides, in scaled channels.
 
     Raises
     ------
@@ -87,24 +96,24 @@ class Observer:
             require_known("measured", name, c.state_names)
         if len(set(self.measured)) < len(self.measured) or not self.measured:
             raise ValueError(f"measured is {list(self.measured)}; name one state or more, each once.")
-        self._rows = np.array([c.state_names.index(name) for name in self.measured])
+        self.rows = np.array([c.state_names.index(name) for name in self.measured])
         self._place_disturbances(disturbed)
         n, count, m = len(c.state_names), len(c.z_scale), len(c.input_names)
         size = count + len(self.disturbed)
         everything = set(self.measured) == set(c.state_names) and not c.delays  # delays are for what is not measured
-        least = (_EXACT if everything else _NOISE) * c.x_scale[self._rows]
+        least = (_EXACT if everything else _NOISE) * c.x_scale[self.rows]
         self.noise = per_channel("noise", noise, self.measured, least)
         self.process = per_channel("process", process, c.input_names, _GUSTS * c.u_scale)
-        self._gusts = self.process / c.u_scale
+        self.gusts = self.process / c.u_scale
         _, slopes = self.predictor.advance_with_slopes(np.zeros((count, 1)), np.zeros((m, 1)))
-        white = np.sqrt(slopes[0, :n, count:] ** 2 @ self._gusts**2)  # of each state, in the middle of the data
-        of_states = np.where(self._on_states[:n].any(axis=1), np.maximum(white, _NOISE), 0)
-        acting = self._on_inputs.T @ self._gusts + self._on_states[:n].T @ of_states
+        white = np.sqrt(slopes[0, :n, count:] ** 2 @ self.gusts**2)  # of each state, in the middle of the data
+        of_states = np.where(self.on_states[:n].any(axis=1), np.maximum(white, _NOISE), 0)
+        acting = self.on_inputs.T @ self.gusts + self.on_states[:n].T @ of_states
         self.drift = per_channel("drift", drift, self.disturbed, acting / _MEMORY * self._disturbance_scale)
-        self._R = np.diag(np.maximum(self.noise / c.x_scale[self._rows], 1e-9) ** 2)
-        self._Q = np.zeros((size, size))
-        self._Q[range(n), range(n)] = self.predictor.accuracy**2 + np.where(of_states > white, of_states, 0) ** 2
-        self._Q[range(count, size), range(count, size)] = (self.drift / self._disturbance_scale) ** 2
+        self.R = np.diag(np.maximum(self.noise / c.x_scale[self.rows], 1e-9) ** 2)
+        self.Q = np.zeros((size, size))
+        self.Q[range(n), range(n)] = self.predictor.accuracy**2 + np.where(of_states > white, of_states, 0) ** 2
+        self.Q[range(count, size), range(count, size)] = (self.drift / self._disturbance_scale) ** 2
         self.reset()
 
     def _place_disturbances(self, names):
@@ -113,19 +122,20 @@ class Observer:
         self.disturbed = tuple(c.input_names if names is None else names)
         for name in self.disturbed:
             require_known("disturbed", name, c.input_names + c.state_names)
-        self._on_inputs = np.zeros((len(c.input_names), len(self.disturbed)))
-        self._on_states = np.zeros((len(c.z_scale), len(self.disturbed)))
+        self.on_inputs = np.zeros((len(c.input_names), len(self.disturbed)))
+        self.on_states = np.zeros((len(c.z_scale), len(self.disturbed)))
         self._disturbance_scale = np.empty(len(self.disturbed))
         for j, name in enumerate(self.disturbed):
-            place, scale, names = self._on_inputs, c.u_scale, c.input_names
+            place, scale, names = self.on_inputs, c.u_scale, c.input_names
             if name not in names:
-                place, scale, names = self._on_states, c.x_scale, c.state_names
+                place, scale, names = self.on_states, c.x_scale, c.state_names
             i = names.index(name)
             place[i, j], self._disturbance_scale[j] = 1, scale[i]
 
     def reset(self) -> None:
         """Forget everything: the next measurement is the first one."""
         self._state = self.covariance = None
+        self.restarts = 0
 
     @property
     def disturbance(self) -> np.ndarray:
@@ -150,14 +160,15 @@ class Observer:
         """The same in scaled channels: z (n',), and what disturbs the inputs (m,) and the states (n',)."""
         c = self.channels
         if y.shape == c.x_scale.shape:
-            y = y[self._rows]
-        if y.shape != self._rows.shape or not np.isfinite(y).all():
+            y = y[self.rows]
+        if y.shape != self.rows.shape or not np.isfinite(y).all():
             raise ValueError(f"y is {y.tolist()}; give finite numbers: {', '.join(self.measured)}.")
         with np.errstate(over="ignore"):
-            y = (y - c.x_offset[self._rows]) / c.x_scale[self._rows]
+            y = (y - c.x_offset[self.rows]) / c.x_scale[self.rows]
         follows = self._state is not None and u is not None
         if not (follows and self._follow(y, (np.asarray(u, dtype=float) - c.u_offset) / c.u_scale)):
-            self._begin(y)
+            self.restarts += follows
+            self.begin(y)
         return self.estimate
 
     def _follow(self, y, u):
@@ -175,14 +186,14 @@ class Observer:
         """State, and what disturbs the inputs and the states, in scaled channels."""
         count = len(self.channels.z_scale)
         d = self._state[count:]
-        return self._state[:count], self._on_inputs @ d, self._on_states @ d
+        return self._state[:count], self.on_inputs @ d, self.on_states @ d
 
-    def _begin(self, y):
-        """Nothing is known but y, and it was so before."""
+    def begin(self, y):
+        """Nothing is known but the measurement y (measured,), in scaled channels, and it was so before."""
         c = self.channels
-        n, count, size = len(c.x_scale), len(c.z_scale), len(self._Q)
+        n, count, size = len(c.x_scale), len(c.z_scale), len(self.Q)
         present, spread = np.zeros(n), np.full(n, _UNKNOWN)
-        present[self._rows], spread[self._rows] = y, np.sqrt(np.diag(self._R))
+        present[self.rows], spread[self.rows] = y, np.sqrt(np.diag(self.R))
         states = n * (c.delays + 1)
         self._state, deviations = np.zeros(size), np.zeros(size)
         self._state[:states], deviations[:states] = np.tile(present, c.delays + 1), np.tile(spread, c.delays + 1)
@@ -192,19 +203,19 @@ class Observer:
     def _predict(self, u):
         count = len(self.channels.z_scale)
         z, d = self._state[:count], self._state[count:]
-        later, slopes = self.predictor.advance_with_slopes(z[:, None], (u + self._on_inputs @ d)[:, None])
+        later, slopes = self.predictor.advance_with_slopes(z[:, None], (u + self.on_inputs @ d)[:, None])
         A, B = slopes[0, :, :count], slopes[0, :, count:]
         F = np.eye(len(self._state))
-        F[:count, :count], F[:count, count:] = A, B @ self._on_inputs + self._on_states
-        self._state = np.concatenate([later[:, 0] + self._on_states @ d, d])
-        self.covariance = F @ self.covariance @ F.T + self._Q
-        gusts = B * self._gusts
+        F[:count, :count], F[:count, count:] = A, B @ self.on_inputs + self.on_states
+        self._state = np.concatenate([later[:, 0] + self.on_states @ d, d])
+        self.covariance = F @ self.covariance @ F.T + self.Q
+        gusts = B * self.gusts
         self.covariance[:count, :count] += gusts @ gusts.T
 
     def _correct(self, y):
-        P, rows = self.covariance, self._rows
-        gain = np.linalg.solve(P[np.ix_(rows, rows)] + self._R, P[rows]).T
+        P, rows = self.covariance, self.rows
+        gain = np.linalg.solve(P[np.ix_(rows, rows)] + self.R, P[rows]).T
         self._state = self._state + gain @ (y - self._state[rows])
         keep = np.eye(len(P))
         keep[:, rows] -= gain
-        self.covariance = keep @ P @ keep.T + gain @ self._R @ gain.T  # Joseph's form: symmetric, never negative
+        self.covariance = keep @ P @ keep.T + gain @ self.R @ gain.T  # Joseph's form: symmetric, never negative

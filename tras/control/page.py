@@ -127,6 +127,8 @@ def warnings(design: Design) -> list[str]:
     failures = int((~design.run["solved"]).sum())
     if failures:
         sentences.append(f"In {failures} samples the program was not solved, and the last plan went on.")
+    if controller.observer is not None and controller.observer.restarts:
+        sentences.append(f"The observer began anew {controller.observer.restarts} times: the model ran away from it.")
     for (what, _, _), result in zip(design.parts, design.margins):
         if isinstance(result, str):
             sentences.append(f"No margins at the end of {what}: {result}.")

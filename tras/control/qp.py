@@ -34,7 +34,7 @@ class Program:
             import daqp
 
         self._new, self._model, self._shape = daqp.Model, None, None
-        self._linear, self._quadratic = linear, quadratic
+        self.linear, self.quadratic = linear, quadratic
         self._settings = {"primal_tol": TOLERANCE, "time_limit": time_limit, "iter_limit": iterations}
 
     def forget(self) -> None:
@@ -55,7 +55,7 @@ class Program:
             self._model.settings = self._settings
             flag, _ = self._model.setup(H, f, G, above, below, sense)
             if flag >= 0 and soft is not None and np.any(soft):  # in units of the rows, not of DAQP's scaled ones
-                linear, reciprocal = np.full((2, len(sense)), [[self._linear], [1 / self._quadratic]])
+                linear, reciprocal = np.full((2, len(sense)), [[self.linear], [1 / self.quadratic]])
                 self._model.soft_weights(reciprocal, reciprocal, linear, linear)
         if flag < 0:
             return self._failed(flag, 0)

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 import tras
-from tras.control.lqr import _ROUNDS, LQR
-from tras.control.mpc import _FIRST, MPC
+from tras.control.lqr import LQR, ROUNDS
+from tras.control.mpc import FIRST_ROUNDS, MPC
 from tras.export import derivatives, estimator_c, lqr_c, mpc_c
 from tras.export.c import HULL, array, lift
 from tras.export.common import file_and_name, map_of
@@ -187,7 +187,7 @@ class _Parts:
         }  # fmt: skip
         arrays = {"x_offset": c.z_offset, "x_scale": c.z_scale, "u_offset": c.u_offset, "u_scale": c.u_scale}
         arrays |= {"lowest": controller.limits[:, 0], "highest": controller.limits[:, 1]}
-        arrays["followed"] = controller._rows.tolist()
+        arrays["followed"] = controller.rows.tolist()
         code = ""
         if not self.lifted or controller.observer:
             more_counts, more_arrays, code = _advance(model)
@@ -206,9 +206,9 @@ class _Parts:
         if observer is None:
             return {}, {}, estimator_c.STATE + estimator_c.WITHOUT_OBSERVER
         fresh = copy.copy(observer)
-        fresh._begin(np.zeros(len(observer.measured)))
+        fresh.begin(np.zeros(len(observer.measured)))
         count = len(c.z_scale)
-        size = max(len(observer._Q), count + 1)  # C has no empty arrays, so at least one, which may do nothing
+        size = max(len(observer.Q), count + 1)  # C has no empty arrays, so at least one, which may do nothing
 
         def padded(values, *shape):
             result = np.zeros(shape)
@@ -216,10 +216,10 @@ class _Parts:
             return result
 
         arrays = {
-            "measured": observer._rows.tolist(), "noise": np.diag(observer._R), "gusts": observer._gusts,
-            "process": padded(np.diag(observer._Q), size), "first_variance": padded(np.diag(fresh.covariance), size),
-            "on_inputs": padded(observer._on_inputs, len(c.u_scale), size - count),
-            "on_states": padded(observer._on_states, count, size - count),
+            "measured": observer.rows.tolist(), "noise": np.diag(observer.R), "gusts": observer.gusts,
+            "process": padded(np.diag(observer.Q), size), "first_variance": padded(np.diag(fresh.covariance), size),
+            "on_inputs": padded(observer.on_inputs, len(c.u_scale), size - count),
+            "on_states": padded(observer.on_states, count, size - count),
         }  # fmt: skip
         return {"ALL": size}, arrays, estimator_c.STATE + estimator_c.OBSERVER
 
@@ -228,11 +228,11 @@ class _Parts:
         equations = len(lqr.channels.z_scale) + len(lqr.followed)
         size = max(equations, len(lqr.channels.z_scale) + len(lqr.channels.u_scale))
         code = f"#define SMALLEST {float(np.finfo(float).eps * size)!r}\n" + lqr_c.LQR
-        return {"EQUATIONS": equations, "ROUNDS": _ROUNDS}, {"gain": lqr._K}, code
+        return {"EQUATIONS": equations, "ROUNDS": ROUNDS}, {"gain": lqr.K}, code
 
     def _plan(self):
         mpc, c = self.controller, self.controller.channels
-        m, blocks = len(c.input_names), mpc._blocks
+        m, blocks = len(c.input_names), mpc.blocks
         variables = int(blocks[-1] + 1) * m
         rate_limit = mpc.rates * c.dt / c.u_scale
         changed = np.flatnonzero(np.isfinite(np.tile(rate_limit, variables // m)))
@@ -243,7 +243,7 @@ class _Parts:
         low, high = ((mpc.limits - c.u_offset[:, None]) / c.u_scale[:, None]).T
         counts = {"CHANGES": changes}
         arrays = {
-            "block": blocks.tolist(), "error_weight": (mpc.weights * c.x_scale**2)[mpc._rows],
+            "block": blocks.tolist(), "error_weight": (mpc.weights * c.x_scale**2)[mpc.rows],
             "change_weight": mpc.rate_weights * c.u_scale**2, "u_low": low, "u_high": high,
         }  # fmt: skip
         if changes:
@@ -252,18 +252,18 @@ class _Parts:
             counts["LIMITED"] = len(limited)
             arrays |= {"z_low": scaled[limited, 0], "z_high": scaled[limited, 1]}
         code = solver(
-            variables, changes + soft, soft=soft, linear=mpc._program._linear, quadratic=mpc._program._quadratic,
+            variables, changes + soft, soft=soft, linear=mpc.program.linear, quadratic=mpc.program.quadratic,
             iterations=self.iterations,
         )  # fmt: skip
         words = {"changes": mpc_c.CHANGES, "limits": mpc_c.CHANGE_LIMITS} if changes else {"changes": "", "limits": ""}
         code += "\n" + Template(mpc_c.PROGRAM).substitute(words)
         if self.lifted:
-            watched = [*mpc._rows.tolist(), *limited.tolist()]
+            watched = [*mpc.rows.tolist(), *limited.tolist()]
             counts["WATCHED"] = len(watched)
             arrays |= {"watched": watched, "A": self.model.koopman_matrix.T, "B": self.model.B_}
             words = {"limits": mpc_c.LIFTED_LIMITS, "free": mpc_c.LIFTED_FREE} if soft else {"limits": "", "free": ""}
             return counts, arrays, code + Template(mpc_c.LIFTED).substitute(words)
-        counts |= {"ITERATIONS": mpc.iterations, "FIRST": _FIRST}
+        counts |= {"ITERATIONS": mpc.iterations, "FIRST": FIRST_ROUNDS}
         arrays |= {"limited": limited.tolist()} if soft else {}
         words = {"limits": mpc_c.STATE_LIMITS if soft else ""}
         return counts, arrays, code + Template(mpc_c.ALONG_PLAN).substitute(words)

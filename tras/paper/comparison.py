@@ -31,6 +31,7 @@ from tras.paper.baselines.subspace import N4SID
 from tras.paper.readings import PAPER_FIT
 from tras.paper.validation import ANGLES, judge
 from tras.recording import Recording, join
+from tras.solver.threads import one_blas_thread
 from tras.twin_rotor.closed_loop import INPUTS
 from tras.twin_rotor.plant import STATE_PAIRS
 from tras.workflow import cache, provenance
@@ -167,7 +168,8 @@ def run(
 
 def case(study: Study, train: Recording, validation: dict[str, Recording], smoothed, job: dict) -> dict:
     """One method under one condition: dict of ``scores, tuning, times, parameters, failure``; see `training`."""
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
+    # The libraries multiply small matrices: threads of BLAS would wait for each other, and change last bits.
+    with one_blas_thread(), warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")  # of libraries, on ill-conditioned candidates: their errors say it
         data = training(study, job, train, smoothed)
         clock = [time.process_time()]
