@@ -90,7 +90,7 @@ def test_integrated_noise_against_its_integral(order):
 def dense_covariance(samples, order, channels, deviation, intensity):
     """Covariance of all measurements of one trajectory."""
     A, Q = smoothing._integrated_noise(order)
-    covariances = [100 * np.eye(order)]
+    covariances = [np.eye(order)]
     for _ in range(samples - 1):
         covariances.append(A @ covariances[-1] @ A.T + intensity * Q)
     powers = [np.linalg.matrix_power(A, k) for k in range(samples)]
@@ -109,7 +109,7 @@ def dense_posterior(y, order, deviation, intensity):
     samples, channels = y.shape
     A, Q = smoothing._integrated_noise(order)
     step = np.linalg.inv(np.linalg.cholesky(intensity * Q))
-    rows, right = [np.eye(order, samples * order) / 10], [np.zeros(order)]
+    rows, right = [np.eye(order, samples * order)], [np.zeros(order)]
     for k in range(samples):
         place = np.eye(order, samples * order, order * k)
         rows.append(place[:channels] / deviation[:, None])
@@ -165,6 +165,15 @@ def test_exact_data_stay_as_they_are():
         [np.stack([np.sin(w * t), w * np.cos(w * t)], axis=-1) for w in (1.0, 1.7)], dt=0.02, state_names=["q", "v"]
     )
     assert np.all(error(tras.smooth(free, [("q", "v")]), free) < 1e-5)
+
+
+def test_smoothing_does_not_feel_rounding(swing):
+    """A start far wider than the states leaves differences of large numbers in the first samples."""
+    pairs = [(swing.state_names[0], swing.state_names[1])]
+    noisy = tras.add_noise(swing, 1e-4, 0)
+    nudged = noisy.with_data([np.nextafter(x, np.inf) for x, _ in noisy], [u for _, u in noisy])
+    change = np.concatenate([b - a for (a, _), (b, _) in zip(tras.smooth(noisy, pairs), tras.smooth(nudged, pairs))])
+    assert np.all(np.abs(change) < 2e-10 * np.ptp(noisy.states, axis=(0, 1)))
 
 
 def test_smoothing_does_not_feel_units_and_takes_unequal_lengths_and_constants(swing):
