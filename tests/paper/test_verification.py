@@ -300,7 +300,7 @@ def test_what_make_no_longer_builds_and_what_has_no_reference(project, capsys):
     assert status == 1 and "has no reference for it: make bless" in lines["data/new.csv"]
 
 
-@pytest.mark.parametrize("content", [None, "no manifest\n", b"\xff\xfe"])
+@pytest.mark.parametrize("content", [None, "no manifest\n", b"\xff\xfe", "0" * 64 + "  data/table.csv\n"])
 def test_without_a_manifest_one_sentence(project, content, capsys):
     manifest = Path("reference/SHA256SUMS")
     manifest.unlink()

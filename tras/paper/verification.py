@@ -123,10 +123,13 @@ def _compare_looks(artefact, copy):
 
 
 def read_manifest(reference: Path) -> tuple[list[str], dict[str, str]]:
-    """The manifest's remarks, and its SHA-256 per artefact."""
+    """Where the reference comes from, and the SHA-256 of each artefact; a ValueError if either is missing."""
     lines = (reference / MANIFEST).read_text(encoding="utf-8").splitlines()
     sums = dict(reversed(line.split("  ", 1)) for line in lines if line and not line.startswith("#"))
-    return [line.lstrip("# ") for line in lines if line.startswith("#")], sums
+    remarks = [line.lstrip("# ") for line in lines if line.startswith("#")]
+    if not remarks:
+        raise ValueError(f"{reference / MANIFEST} does not say where the reference comes from")
+    return remarks, sums
 
 
 def verify(parts: dict[str, list[Path]], reference: Path) -> int:
