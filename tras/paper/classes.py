@@ -62,7 +62,7 @@ LOST = "diverged"  # this count may also be one further, and then the row is com
 RIVALS = (
     {"method": ("neural network",)},
     {"method": ("Hammerstein-Wiener", "NARX", "EDMD (pykoop)"), "noise": (0,)},
-    {"method": ("Hammerstein-Wiener", "NARX", "EDMD (pykoop)", "N4SID"), "smoothed": (True,)},
+    {"method": ("Hammerstein-Wiener", "NARX"), "smoothed": (True,)},
 )
 _WHOLE = ({"method": ("neural network", "Hammerstein-Wiener", "NARX", "EDMD (pykoop)")},)  # without noise, on all data
 _TRAINED = "a trained network; with little data polynomials whose roll-outs just diverge; fits that end by a tolerance"
