@@ -7,7 +7,7 @@ import pytest
 from tras.paper import motors
 
 SMALL = motors.Motors(
-    recording=60.0, flight=6.0, flight_frequencies=(1.5, 1.5), gusts=(0.0, 0.02), skip=1.0, horizon=20
+    recording=60.0, flight=6.0, flight_frequencies=(1.5, 1.5), gusts=(0.0, 0.02), take_off=2.0, horizon=20
 )
 
 
@@ -21,6 +21,16 @@ def test_a_model_of_motor_commands_flies_better_than_the_pid_and_the_study_repea
     assert (errors.loc[0.0, "yaw"]["MPC, true plant"] < errors.loc[0.0, "yaw"]["PID"]) and motors.of_pid(flights) < 0.5
     one = motors.fly(motors.Motors(**{**vars(SMALL), "gusts": (0.02,)}), models, processes=2)
     pd.testing.assert_frame_equal(one, flights[flights["gust"] == 0.02].reset_index(drop=True), check_exact=True)
+
+
+@pytest.mark.slow
+def test_flights_do_not_feel_rounding():
+    """From rest, with the commands at their limits, one rounding unit of the reference changed the errors by 16 %."""
+    models = {"mechanical": motors.identify(SMALL)["mechanical"]}
+    nudged = motors.Motors(**{**vars(SMALL), "flight_peaks": tuple(np.nextafter(SMALL.flight_peaks, 1))})
+    errors = [motors._flight(case, models, "MPC, mechanical", 0.0) for case in (SMALL, nudged)]
+    for angle in ("yaw", "pitch"):
+        assert errors[1][angle] == pytest.approx(errors[0][angle], rel=1e-8)
 
 
 def test_the_share_of_the_pids_error_is_the_worst_one():

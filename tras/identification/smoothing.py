@@ -108,8 +108,8 @@ def _filter(measured, deviation, order, intensity):
     A, Q = _integrated_noise(order)
     one = np.eye(order)
     H, R = one[:channels], np.diag(deviation**2)
-    # A state lies about a half-range from the middle: all that is known before the first sample. A wider start tells the
-    # smoother no more, and leaves differences of large numbers in its first samples.
+    # A state lies about a half-range from the middle: all that is known before the first sample. A wider start tells
+    # the smoother no more, and leaves differences of large numbers in its first samples.
     x, P = np.zeros((len(measured), order)), one
     predicted, innovation, steps = np.empty((*inside.shape[:2], order)), np.empty_like(Y), []
     settled = False

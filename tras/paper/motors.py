@@ -19,6 +19,7 @@ from tras.twin_rotor.excitation import multisine
 from tras.twin_rotor.gusts import gusts
 from tras.twin_rotor.motor_loop import simulate_motor_loop
 from tras.twin_rotor.rotor_parameters import RotorParameters
+from tras.twin_rotor.rotors import rest_point
 from tras.workflow.study import each
 
 DICTIONARIES = {"linear": Monomials(1), "cubic": Monomials(3), "mechanical": Mechanical(actuators=[4, 5])}
@@ -29,8 +30,9 @@ CONTROLLERS = ("PID", *(f"MPC, {model}" for model in (*DICTIONARIES, TRUE)))
 class Motors:
     """Times in s, frequencies in rad/s, angles in rad, gusts in N m (root mean square, both axes).
 
-    The recording has the PID in the loop and a test signal on the commands; ``skip`` are seconds at the start of a
-    flight that no error counts.
+    The recording has the PID in the loop and a test signal on the commands. ``take_off`` are seconds before a flight,
+    in which the reference leaves the rest point: a rig at rest whose reference is elsewhere would begin with its
+    commands at their limits, where no model was excited, and what it does there depends on the last bit.
     """
 
     sampling_time: float = 0.05
@@ -45,7 +47,7 @@ class Motors:
     flight_peaks: tuple[float, float] = (0.35, 0.8)
     gusts: tuple[float, ...] = (0.0, 0.01)
     gust_time: float = 1.0
-    skip: float = 2.0
+    take_off: float = 4.0
     horizon: int = 30
     rate_weight: float = 1e-3
 
@@ -74,8 +76,7 @@ def fly(motors: Motors, models: dict[str, KoopmanModel], *, processes: int = 1) 
 
 def _flight(motors, models, name, level):
     dt, rig = motors.sampling_time, RotorParameters.maker()
-    path = multisine(motors.flight, dt, motors.flight_frequencies, motors.flight_peaks, 0)
-    path = path[np.arange(len(path) + motors.horizon) % (len(path) - 1)]  # it goes on for a horizon behind the flight
+    path, start = _path(motors, rig), round(motors.take_off / dt)
     wind = gusts((len(path) - 1) * dt, dt, (level, level), motors.gust_time, 3)
     if name == "PID":
         log, failures = simulate_motor_loop(path, dt, rig, gusts=wind), 0
@@ -86,10 +87,19 @@ def _flight(motors, models, name, level):
         control = MPC(model, weights={"phi": 1.0, "psi": 1.0}, **options)
         log = simulate_closed_loop(path, dt, rig, controllers=control, preview=True, disturbances=wind)
         failures = control.failures
-    errors = (log.states[0][:, [0, 2]] - path)[round(motors.skip / dt) : -motors.horizon]
+    errors = (log.states[0][:, [0, 2]] - path)[start : -motors.horizon]
     pitch, yaw = np.sqrt((errors**2).mean(axis=0))
     lost = bool(np.abs(errors).max() > RUNAWAY)
     return {"controller": name, "gust": level, "yaw": yaw, "pitch": pitch, "failures": failures, "diverged": lost}
+
+
+def _path(motors, rig):
+    """The reference (samples, 2) of a flight, with the take-off before it and a horizon behind it."""
+    dt, rest = motors.sampling_time, rest_point(rig)[[0, 2]]
+    period = multisine(motors.flight, dt, motors.flight_frequencies, motors.flight_peaks, 0)
+    times = np.arange(-round(motors.take_off / dt), len(period) + motors.horizon)
+    s = np.clip(1 + times * dt / motors.take_off, 0, 1)[:, None]
+    return rest + s**3 * (10 - 15 * s + 6 * s**2) * (period[times % (len(period) - 1)] - rest)
 
 
 def of_pid(flights: pd.DataFrame) -> float:
