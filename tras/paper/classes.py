@@ -46,7 +46,6 @@ EXACT = [
         "*.npz", 1e-6, 1e-10,
         "rounding times a condition number: 7e-13 of a matrix's largest entry, 1e-3 of its smallest",
     ),
-    Exact("*/robustness_noise.csv", 1e-4, 0, "Mechanical(6) on noisy data, fits of a condition up to 7e10: 1e-5"),
     Exact("*/parameters.csv", 1e-5, 0, "errors of 1e-4 % in a parameter, differences of nearly equal numbers: 1.1e-6"),
     Exact(
         "*/portrait.csv", 1e-8, 1e-11,
