@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 STRETCH = 32  # samples between two looks at which predictions have left
+MOST_SUBSTEPS = 64
 LIMIT = 1e3  # half-ranges of the training data; a prediction beyond is abandoned and NaN from there on
 
 
@@ -94,7 +95,7 @@ def runge_kutta_with_slopes(
 
 
 def enough_substeps(
-    field: Callable, z: np.ndarray, u: np.ndarray, dt: float, tolerance: float = 1e-8, most: int = 64
+    field: Callable, z: np.ndarray, u: np.ndarray, dt: float, tolerance: float = 1e-8, most: int = MOST_SUBSTEPS
 ) -> int:
     """Doubled until halving the step moves no prediction over one sample by more than ``tolerance`` of a half-range."""
     substeps, coarse = 1, runge_kutta(field, z, u, dt, 1)

@@ -164,14 +164,14 @@ def _figures(identification, diagnosed, folder):
             drawings[key] = (figures.bode_figure, diagnosed.responses.bode, few, source)
     pictures = {}
     run, table = _free_run(identification)
-    save_figure(run, table, folder / "free_run")
+    save_figure(run, table, folder / "free_run", layouts=1)
     pictures["free_run"] = page.picture(folder, "free_run")
     with terminal() as stream:
         for key, (draw, table, *arguments) in tqdm(
             drawings.items(), desc="figures", leave=False, disable=None, file=stream
         ):
             if len(table):  # no spectra of a short recording
-                save_figure(draw(table, *arguments), table, folder / key)
+                save_figure(draw(table, *arguments), table, folder / key, layouts=1)
                 pictures[key] = page.picture(folder, key)
     return pictures
 
