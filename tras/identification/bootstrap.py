@@ -3,7 +3,6 @@
 B. Efron, Ann. Statist. 7, 1979, 1. Whole trajectories are drawn, because neighbouring samples are not independent.
 """
 
-import copy
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,7 +11,7 @@ from sklearn.base import clone
 from tras import metrics
 from tras.model import KoopmanModel
 from tras.recording import Recording, join
-from tras.rollout import MOST_SUBSTEPS
+from tras.rollout import coarser
 from tras.workflow import arguments
 from tras.workflow.study import each
 
@@ -113,7 +112,7 @@ def prediction_band(ensemble: Sequence[KoopmanModel], recording: Recording, leve
     arguments.number("level", level, 0, 1, ends=False, give="a fraction between 0 and 1, for example 0.9")
     recording = join(recording)
     with np.errstate(over="ignore", invalid="ignore"):  # divergence is put at infinity below
-        runs = [_drawn(model).predict(recording) for model in ensemble]
+        runs = [coarser(model).predict(recording) for model in ensemble]
     lost = [metrics.diverged(recording.states, run) for run in runs]
     bands = []
     for i in range(len(recording)):
@@ -124,15 +123,6 @@ def prediction_band(ensemble: Sequence[KoopmanModel], recording: Recording, leve
         bands.append(np.quantile(values, [(1 - level) / 2, 0.5, (1 + level) / 2], axis=0, method="inverted_cdf"))
     alike = len(set(recording.lengths)) == 1
     return tuple(np.stack(part) if alike else list(part) for part in zip(*bands))
-
-
-def _drawn(model):
-    """The model integrated with longer steps: a band is drawn, and 3e-6 of a half-range per sample is not seen."""
-    if not 1 < getattr(model, "substeps_", 1) < MOST_SUBSTEPS:
-        return model
-    model = copy.copy(model)
-    model.substeps_ = max(1, model.substeps_ // 4)  # of order 4: 256 times what `enough_substeps` allows
-    return model
 
 
 def _member(model, recording, number, index):
