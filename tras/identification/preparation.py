@@ -178,31 +178,49 @@ def _moving_fifth(recording, edges):
     return int(np.flatnonzero(score == score.max())[-1]) if score.max() > 0 else 4
 
 
-def held_out(lengths: np.ndarray, fewest: int, grid: int = 1) -> tuple[list, list]:
+def held_out(recording: Recording, fewest: int, grid: int = 1) -> tuple[list, list]:
     """Stretches (trajectory, first, last sample) to learn from, and those to judge a choice by; each pair is in one.
 
     Of five trajectories or more that have ``fewest`` samples, every fifth one is to judge by. Otherwise it is the third
-    and the eighth tenth of each trajectory, or the third fifth where a tenth has fewer than ``fewest`` samples. Those
-    begin and end at multiples of ``grid``.
+    and the eighth tenth of each trajectory, or the third fifth where a tenth has fewer than ``fewest`` samples; or,
+    where the states rest in these, the nearest ones in which they move: at rest all models are alike. Stretches to
+    judge by begin and end at multiples of ``grid``.
     """
     learn, judge = [], []
-    long = np.flatnonzero(lengths >= fewest)
+    long = np.flatnonzero(recording.lengths >= fewest)
     if len(long) >= _FEWEST_TRIALS:
-        for i, length in enumerate(map(int, lengths)):
+        for i, length in enumerate(map(int, recording.lengths)):
             (judge if i in long[4::5] else learn).append((i, 0, length - 1))
         return learn, judge
-    for i, length in enumerate(map(int, lengths)):
-        parts, of_judge = (10, (2, 7)) if (length - 1) // 10 >= fewest else (5, (2,))
-        if (length - 1) // parts < fewest - 1:
-            learn.append((i, 0, length - 1))
+    whole = np.concatenate(recording.states).std(axis=0)
+    for i, (x, _) in enumerate(recording):
+        steps = len(x) - 1
+        parts, of_judge = (10, (2, 7)) if steps // 10 >= fewest else (5, (2,))
+        if steps // parts < fewest - 1:
+            learn.append((i, 0, steps))
             continue
-        edges, start = np.linspace(0, length - 1, parts + 1).astype(int) // grid * grid, 0
-        for k in of_judge:
+        edges, start = np.linspace(0, steps, parts + 1).astype(int) // grid * grid, 0
+        for k in _moving(x, whole, edges, of_judge):
             learn.append((i, start, int(edges[k])))
             judge.append((i, int(edges[k]), int(edges[k + 1])))
             start = int(edges[k + 1])
-        learn.append((i, start, length - 1))
+        learn.append((i, start, steps))
     return learn, judge
+
+
+def _moving(x, whole, edges, wanted):
+    """Parts of a trajectory between edges, in order: the ``wanted`` ones, or the nearest that move and leave motion."""
+    parts = [np.arange(a, b + 1) for a, b in zip(edges[:-1], edges[1:])]
+    chosen = []
+
+    def rests(k):
+        left = np.delete(x, np.concatenate([parts[each] for each in (*chosen, k)]), axis=0)
+        return (x[parts[k]].std(axis=0) < _MOVES * whole).any() or (left.std(axis=0) < _STILL_MOVES * whole).any()
+
+    for wish in wanted:
+        others = [k for k in range(len(parts)) if k not in chosen]
+        chosen.append(min(others, key=lambda k: (rests(k), abs(k - wish))))
+    return sorted(chosen)
 
 
 def stretches(recording: Recording, spans: list) -> Recording:

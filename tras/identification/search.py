@@ -487,7 +487,7 @@ def _parts(treatments, names, samples, latest, grid):
     """Treatment -> stretches to fit; windows and stretches held out, as measured; and remarks on these."""
     train, treatments = treatments.recording, treatments.at_most(2 * SEARCHED)
     measured = treatments.whole("as measured")
-    learn, judge = preparation.held_out(measured.lengths, latest + 5 * grid, grid)
+    learn, judge = preparation.held_out(measured, latest + 5 * grid, grid)
     if not judge:
         raise ValueError(
             f"there are {train.pairs} snapshot pairs in {len(train)} trajectories to learn from, too few to hold out "
