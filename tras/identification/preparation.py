@@ -182,9 +182,9 @@ def held_out(recording: Recording, fewest: int, grid: int = 1) -> tuple[list, li
     """Stretches (trajectory, first, last sample) to learn from, and those to judge a choice by; each pair is in one.
 
     Of five trajectories or more that have ``fewest`` samples, every fifth one is to judge by. Otherwise it is the third
-    and the eighth tenth of each trajectory, or the third fifth where a tenth has fewer than ``fewest`` samples; or,
-    where the states rest in these, the nearest ones in which they move: at rest all models are alike. Stretches to
-    judge by begin and end at multiples of ``grid``.
+    and the eighth tenth of each trajectory, or the third fifth where a tenth has fewer than ``fewest`` samples; where
+    the states rest in these, the nearest ones in which they move: at rest all models are alike. The first one is always
+    learnt from. Stretches to judge by begin and end at multiples of ``grid``.
     """
     learn, judge = [], []
     long = np.flatnonzero(recording.lengths >= fewest)
@@ -218,7 +218,7 @@ def _moving(x, whole, edges, wanted):
         return (x[parts[k]].std(axis=0) < _MOVES * whole).any() or (left.std(axis=0) < _STILL_MOVES * whole).any()
 
     for wish in wanted:
-        others = [k for k in range(len(parts)) if k not in chosen]
+        others = [k for k in range(1, len(parts)) if k not in chosen]  # how a rig starts is seen once
         chosen.append(min(others, key=lambda k: (rests(k), abs(k - wish))))
     return sorted(chosen)
 
