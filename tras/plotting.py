@@ -109,7 +109,7 @@ def png(figure: Figure, dpi: float = 130) -> bytes:
     return target.getvalue()
 
 
-def save_figure(figure: Figure, table: pd.DataFrame, stem: str | Path) -> list[Path]:
+def save_figure(figure: Figure, table: pd.DataFrame, stem: str | Path, *, layouts: int = 2) -> list[Path]:
     """Write a figure and the numbers behind it: ``stem``.pdf, .svg, .png and .csv; returns these paths.
 
     The same figure and table give the same bytes on the same machine: no file holds a date or a version. All four are
@@ -122,6 +122,9 @@ def save_figure(figure: Figure, table: pd.DataFrame, stem: str | Path) -> list[P
         The numbers that the figure shows. Its index is not written.
     stem : str or path
         Path without suffix; missing folders are made.
+    layouts : int
+        How often the panels are laid out. Once will do for a new figure, on a page made while somebody waits; of one
+        that was shown before, the bytes then depend on that.
 
     Raises
     ------
@@ -136,18 +139,18 @@ def save_figure(figure: Figure, table: pd.DataFrame, stem: str | Path) -> list[P
     # The suffix is appended by hand: Path.with_suffix would cut a stem such as "error_0.5s".
     finals = [stem.with_name(f"{stem.name}.{suffix}") for suffix in ("pdf", "svg", "png", "csv")]
     with ExitStack() as stack:
-        _write(figure, table, *[stack.enter_context(replacing(path)) for path in finals])
+        _write(figure, table, layouts, *[stack.enter_context(replacing(path)) for path in finals])
     return finals
 
 
 @styled()
-def _write(figure, table, pdf, svg, png, csv):
+def _write(figure, table, layouts, pdf, svg, png, csv):
     if (engine := figure.get_layout_engine()) is not None:
         # Every layout begins where the last one left off: once settled, the bytes stay the same. To draw, which lays
         # out too, would take twice the time, and so would an engine that is still there when a file is written.
         FigureCanvasAgg(figure)
-        engine.execute(figure)
-        engine.execute(figure)
+        for _ in range(layouts):
+            engine.execute(figure)
         figure.set_layout_engine(None)
     # None leaves an entry out: dates change from run to run and versions from machine to machine. The style must hold
     # here as well, because dpi, fonts and the hash salt of SVG are looked up when a figure is written.

@@ -249,11 +249,32 @@ def test_a_linear_model_that_is_chosen_is_the_linear_one():
 @pytest.mark.parametrize("lengths", [[500], [400, 60], [90] * 6, [90, 90, 90, 90, 3], [90, 3, 3, 3, 90], [30] * 12])
 @pytest.mark.parametrize("grid", [1, 4])
 def test_what_is_held_out_and_what_is_learnt_from_are_all_pairs(lengths, grid):
-    learn, judge = preparation.held_out(np.array(lengths), 10, grid)
+    log = tras.Recording([np.sin(np.arange(length))[:, None] for length in lengths], dt=0.1)
+    learn, judge = preparation.held_out(log, 10, grid)
     assert all(a % grid == 0 and (b % grid == 0 or b == lengths[i] - 1) for i, a, b in judge)
     pairs = [(i, k) for i, a, b in learn + judge for k in range(a, b)]
     assert sorted(pairs) == [(i, k) for i, length in enumerate(lengths) for k in range(length - 1)]
     assert judge and len(pairs) == len(set(pairs)) and sum(b - a for _, a, b in judge) < 0.3 * len(pairs)
+
+
+@pytest.mark.parametrize(
+    "moving, expected",
+    [
+        (range(10), [2, 7]),
+        ([], [2, 7]),  # nothing is better than these
+        ([3, 4, 5, 6], [3, 6]),
+        ([0, 1, 4, 5], [1, 5]),
+        ([2, 3, 4], [2, 4]),
+        ([1, 2], [2, 7]),  # one of them would leave too little
+        ([5], [2, 7]),  # without it nothing would be left to learn from
+    ],
+)
+def test_what_is_held_out_moves_and_leaves_motion(moving, expected):
+    x = np.zeros(1001)
+    for k in moving:
+        x[100 * k : 100 * (k + 1)] = np.sin(np.arange(100) / 3)
+    learn, judge = preparation.held_out(tras.Recording(x[None, :, None], dt=0.1), 10)
+    assert judge == [(0, 100 * k, 100 * (k + 1)) for k in expected]
 
 
 def test_windows_have_their_start_before_them():

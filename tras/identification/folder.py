@@ -17,6 +17,7 @@ from tras.identification.identification import Identification
 from tras.identification.page import write_page
 from tras.plotting import save_figure
 from tras.recording import Recording
+from tras.rollout import coarser
 from tras.workflow import page
 from tras.workflow.results import written_together
 from tras.workflow.study import terminal
@@ -164,14 +165,14 @@ def _figures(identification, diagnosed, folder):
             drawings[key] = (figures.bode_figure, diagnosed.responses.bode, few, source)
     pictures = {}
     run, table = _free_run(identification)
-    save_figure(run, table, folder / "free_run")
+    save_figure(run, table, folder / "free_run", layouts=1)
     pictures["free_run"] = page.picture(folder, "free_run")
     with terminal() as stream:
         for key, (draw, table, *arguments) in tqdm(
             drawings.items(), desc="figures", leave=False, disable=None, file=stream
         ):
             if len(table):  # no spectra of a short recording
-                save_figure(draw(table, *arguments), table, folder / key)
+                save_figure(draw(table, *arguments), table, folder / key, layouts=1)
                 pictures[key] = page.picture(folder, key)
     return pictures
 
@@ -187,7 +188,7 @@ def _free_run(identification):
         del models["linear model"]
     longest = int(np.argmax(whole.lengths))
     part = whole[[longest]]
-    runs = {name: np.asarray(model.predict(part)[0]) for name, model in models.items()}
+    runs = {name: np.asarray(coarser(model).predict(part)[0]) for name, model in models.items()}
     which = f", trajectory {longest} of {len(whole)}" if len(whole) > 1 else ""
     late = max(model.delays for model in models.values())
     figure = plots.run_figure(part, models.values(), [run[late:] for run in runs.values()], list(models), which=which)

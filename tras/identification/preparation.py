@@ -18,6 +18,7 @@ _FEWEST_TRIALS = 5  # from which on whole trials are held back for the test
 _CHUNK = 2001  # samples that are smoothed at once
 _STILL_MOVES = 0.5  # the same of what is learnt from
 _MOVES = 0.2  # standard deviation of a state in the test over that in the whole recording, at least, if it can be had
+_RESTS = 0.05  # the same, below which a stretch says nothing of a state
 _SPIKE = 0.3  # of the range of the others: how far a lone sample is from both of its neighbours
 _RARE = 0.005  # share of such samples, at most
 _LOUD = 1 / 30  # noise over what a state moves within a sample, from which on longer steps are tried
@@ -178,31 +179,53 @@ def _moving_fifth(recording, edges):
     return int(np.flatnonzero(score == score.max())[-1]) if score.max() > 0 else 4
 
 
-def held_out(lengths: np.ndarray, fewest: int, grid: int = 1) -> tuple[list, list]:
+def held_out(recording: Recording, fewest: int, grid: int = 1) -> tuple[list, list]:
     """Stretches (trajectory, first, last sample) to learn from, and those to judge a choice by; each pair is in one.
 
     Of five trajectories or more that have ``fewest`` samples, every fifth one is to judge by. Otherwise it is the third
-    and the eighth tenth of each trajectory, or the third fifth where a tenth has fewer than ``fewest`` samples. Those
-    begin and end at multiples of ``grid``.
+    and the eighth tenth of each trajectory, or the third fifth where a tenth has fewer than ``fewest`` samples. Where a
+    state rests in those of a single trajectory, it is the nearest ones in which all move, but the first: at rest all
+    models are alike. Stretches to judge by begin and end at multiples of ``grid``.
     """
     learn, judge = [], []
-    long = np.flatnonzero(lengths >= fewest)
+    long = np.flatnonzero(recording.lengths >= fewest)
     if len(long) >= _FEWEST_TRIALS:
-        for i, length in enumerate(map(int, lengths)):
+        for i, length in enumerate(map(int, recording.lengths)):
             (judge if i in long[4::5] else learn).append((i, 0, length - 1))
         return learn, judge
-    for i, length in enumerate(map(int, lengths)):
-        parts, of_judge = (10, (2, 7)) if (length - 1) // 10 >= fewest else (5, (2,))
-        if (length - 1) // parts < fewest - 1:
-            learn.append((i, 0, length - 1))
+    whole = np.concatenate(recording.states).std(axis=0)
+    for i, (x, _) in enumerate(recording):
+        steps = len(x) - 1
+        parts, of_judge = (10, (2, 7)) if steps // 10 >= fewest else (5, (2,))
+        if steps // parts < fewest - 1:
+            learn.append((i, 0, steps))
             continue
-        edges, start = np.linspace(0, length - 1, parts + 1).astype(int) // grid * grid, 0
-        for k in of_judge:
+        edges, start = np.linspace(0, steps, parts + 1).astype(int) // grid * grid, 0
+        # Of several trajectories others move, where one rests.
+        for k in _moving(x, whole, edges, of_judge) if len(recording) == 1 else of_judge:
             learn.append((i, start, int(edges[k])))
             judge.append((i, int(edges[k]), int(edges[k + 1])))
             start = int(edges[k + 1])
-        learn.append((i, start, length - 1))
+        learn.append((i, start, steps))
     return learn, judge
+
+
+def _moving(x, whole, edges, wanted):
+    """Parts of a trajectory between edges, in order: the ``wanted`` ones, or where a state rests in one, the nearest
+    in which all move and which leaves motion to learn from, if there is one."""
+    parts = [np.arange(a, b + 1) for a, b in zip(edges[:-1], edges[1:])]
+    chosen = []
+
+    def moves(k):
+        left = np.delete(x, np.concatenate([parts[each] for each in (*chosen, k)]), axis=0)
+        enough = left.std(axis=0) >= _STILL_MOVES * whole
+        return bool((enough & (x[parts[k]].std(axis=0) >= _MOVES * whole)).all())
+
+    for wish in wanted:
+        others = [k for k in range(1, len(parts)) if k not in (*chosen, *wanted) and moves(k)]  # a start is learnt from
+        rests = (x[parts[wish]].std(axis=0) < _RESTS * whole).any()
+        chosen.append(min(others, key=lambda k: abs(k - wish)) if rests and others else wish)
+    return sorted(chosen)
 
 
 def stretches(recording: Recording, spans: list) -> Recording:

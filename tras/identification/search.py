@@ -26,6 +26,7 @@ from tras.identification.preparation import Treatments, is_noisy
 from tras.metrics import capped, diverged, multi_step_error
 from tras.model import KoopmanModel
 from tras.recording import Recording, join
+from tras.rollout import coarser
 from tras.workflow import arguments
 from tras.workflow.study import terminal
 
@@ -46,6 +47,8 @@ _BEST = 3  # candidates whose coefficients are also fitted to predictions over a
 _AHEAD = 100  # samples that these reach, at most
 _FITTED_OVER = 150  # functions of them, at most
 _DRAWS = 200  # of windows, for that spread
+_COARSE = 1e-4  # half-ranges; smaller errors are those of fields that are integrated with all their steps
+_HOPELESS = 20  # errors of few Gaussians, over the least, beyond which more of them are not tried
 
 
 def candidates(recording: Recording, predictor: str = "vector_field", delays: int = 0) -> list[KoopmanModel]:
@@ -203,7 +206,7 @@ def search(
                 name, q, d, k = setting
                 over = min(_AHEAD, (samples - 1) // q) if number == 3 else 1
                 model = KoopmanModel(dictionary, predictor, d, lead=k, horizon=over)
-                if (name, q, repr(model)) in keys:
+                if (name, q, repr(model)) in keys or _hopeless(rows, name, q, model):
                     continue
                 keys.add((name, q, repr(model)))
                 options = {"every": q, "delays": d, "lead": k, "predictor": predictor, "horizon": over}
@@ -317,6 +320,22 @@ def _leads(recording, lead):
     return [1] if intersample in ("foh", "bl") else [0, 1]
 
 
+def _hopeless(rows, name, every, model):
+    """Whether a model is of more Gaussians than others of the same setting that predict far worse than the best one.
+
+    They take most of the time where a polynomial is right; eight times as many seldom gain more than a factor of ten.
+    """
+    if not isinstance(model.dictionary, GaussianRBF):
+        return False
+    setting = {"states": name, "every": every, "delays": model.delays, "lead": model.lead}
+    fewer = [
+        row["error"]
+        for row in rows
+        if isinstance(row["model"].dictionary, GaussianRBF) and all(row[key] == setting[key] for key in setting)
+    ]
+    return bool(fewer) and min(fewer) > _HOPELESS * min(row["error"] for row in rows)
+
+
 def _settled(model, rows, name, every, *data):
     """`attempt` with the strength that was chosen for one step where its K is the same or the first; else of its own.
 
@@ -327,15 +346,15 @@ def _settled(model, rows, name, every, *data):
     if model.predictor == "vector_field" or model.horizon > 1:
         for row in rows:
             if all(row[key] == value for key, value in same.items()):
-                scores = attempt(clone(model).set_params(strength=float(row["strength"])), *data)
+                scores = attempt(clone(model).set_params(strength=float(row["strength"])), *data, coarse=True)
                 if not scores["failure"]:  # without a logarithm a stronger one may do
                     return scores
-    return attempt(model, *data)
+    return attempt(model, *data, coarse=True)
 
 
 def attempt(
     model, train: Recording, windows: Recording, latest: int, blocks: Recording | None = None,
-    measured: Recording | None = None, half_range=None,
+    measured: Recording | None = None, half_range=None, *, coarse: bool = False,
 ) -> dict:  # fmt: skip
     """Fit a copy of one candidate, and judge it by roll-outs over trajectories that it was not fitted to.
 
@@ -354,6 +373,8 @@ def attempt(
         What was fitted, as measured: for information criteria of the same samples, whatever the treatment.
     half_range : (n,) ndarray, optional
         What errors refer to. Default: that of the states in the windows.
+    coarse : bool
+        Whether a field is integrated in a quarter of its steps, unless the error is so small that this matters.
 
     Returns
     -------
@@ -365,30 +386,38 @@ def attempt(
         unknown).
     """
     model, failure = clone(model), ""
-    error, apart, free, lost, squares, information = math.inf, math.inf, math.nan, len(windows), None, {}
+    apart, free, lost, squares, information = math.inf, math.nan, len(windows), None, {}
     half_range = np.ptp(windows.states, axis=(0, 1)) / 2 if half_range is None else half_range
     half_range = np.where(half_range > 0, half_range, 1.0)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # divergence is part of the error, not a warning
-            truth, predicted = windows.states[:, latest:], np.stack(roll_outs(model.fit(train), windows, latest))
-            squares = np.mean(capped((predicted - truth) / half_range) ** 2, axis=(1, 2))
-            apart = error = float(np.sqrt(np.mean(squares)))
-            lost = int(diverged(truth, predicted).sum())
-            if blocks is not None:
-                runs = zip(roll_outs(model, blocks, latest), blocks)
-                misses = np.concatenate([(run - x[latest:]) / half_range for run, (x, _) in runs])
-                free = float(np.sqrt(np.mean(capped(misses) ** 2)))
-                error = math.sqrt(apart * free)
+            model.fit(train)
+            for each in (coarser(model), model) if coarse else (model,):
+                apart, free, lost, squares = _judged(each, windows, latest, blocks, half_range)
+                if each is model or apart > _COARSE:
+                    break
         if measured is not None:
             information = _criteria(model, measured, latest)
     except (ValueError, MemoryError) as reason:
-        failure = str(reason)
+        apart, free, failure = math.inf, math.nan, str(reason)
+    error = apart if math.isnan(free) else math.sqrt(apart * free)
     functions = len(model.names_) if hasattr(model, "names_") else np.nan
     size = {"functions": functions, "strength": getattr(model, "strength_", np.nan)}
     scores = {"error": error, "windows": apart, "free": free, "lost": lost, "failure": failure, "squares": squares}
     if measured is not None:
         scores |= {name: information.get(name, math.nan) for name in ("AIC", "BIC", "FPE")}
     return size | scores
+
+
+def _judged(model, windows, latest, blocks, half_range):
+    """``windows, free, lost, squares`` of `attempt`, for a fitted model."""
+    truth, predicted = windows.states[:, latest:], np.stack(roll_outs(model, windows, latest))
+    squares, free = np.mean(capped((predicted - truth) / half_range) ** 2, axis=(1, 2)), math.nan
+    if blocks is not None:
+        runs = zip(roll_outs(model, blocks, latest), blocks)
+        misses = np.concatenate([(run - x[latest:]) / half_range for run, (x, _) in runs])
+        free = float(np.sqrt(np.mean(capped(misses) ** 2)))
+    return float(np.sqrt(np.mean(squares))), free, int(diverged(truth, predicted).sum()), squares
 
 
 def _criteria(model, measured, latest):
@@ -458,7 +487,7 @@ def _parts(treatments, names, samples, latest, grid):
     """Treatment -> stretches to fit; windows and stretches held out, as measured; and remarks on these."""
     train, treatments = treatments.recording, treatments.at_most(2 * SEARCHED)
     measured = treatments.whole("as measured")
-    learn, judge = preparation.held_out(measured.lengths, latest + 5 * grid, grid)
+    learn, judge = preparation.held_out(measured, latest + 5 * grid, grid)
     if not judge:
         raise ValueError(
             f"there are {train.pairs} snapshot pairs in {len(train)} trajectories to learn from, too few to hold out "
