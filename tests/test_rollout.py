@@ -179,14 +179,14 @@ def test_runge_kutta_has_order_four():
 def test_enough_substeps_are_enough_and_not_many_more():
     rng = np.random.default_rng(0)
     z, u = rng.uniform(-1, 1, (2, 100)), rng.uniform(-1, 1, (1, 100))
-    counts = [rollout.enough_substeps(pendulum, z, u, dt) for dt in (0.001, 0.1, 0.5, 1.0)]
+    counts = [rollout.enough_substeps(pendulum, z, u, dt).count for dt in (0.001, 0.1, 0.5, 1.0)]
     assert counts[0] == 1 and counts == sorted(counts) and counts[-1] > 1
     for dt, count in zip((0.1, 0.5, 1.0), counts[1:]):
         exact = rollout.runge_kutta(pendulum, z, u, dt, 1024)
         assert np.abs(rollout.runge_kutta(pendulum, z, u, dt, count) - exact).max() <= 2e-8
         if count > 1:
             assert np.abs(rollout.runge_kutta(pendulum, z, u, dt, count // 2) - exact).max() > 1e-9
-    assert rollout.enough_substeps(lambda p: -1e3 * p[:2], z, u, 1.0, most=8) == 8
+    assert rollout.enough_substeps(lambda p: -1e3 * p[:2], z, u, 1.0, most=8).count == 8
 
 
 def test_roll_out_abandons_only_what_left():

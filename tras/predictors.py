@@ -14,6 +14,9 @@ from tras.hull import Hull
 from tras.solver import prediction_error
 from tras.solver.stability import stable_change
 
+_SHARE = 0.01  # of a model's misfit over one sample: what the integration may add to it
+_DEAR = 320  # functions; a field of more is tried at fewer points
+
 
 class Map(NamedTuple):
     """``matrix psi(P z) + outward (z - P z)`` in scaled channels, P onto the hull; without a hull ``matrix psi(z)``."""
@@ -111,6 +114,11 @@ class _Relifting:
         return advance
 
 
+def _most_substeps(functions):
+    """64 steps per sample for a field of 128 functions, in inverse proportion for more, but 16 in any case."""
+    return max(16, min(64, 2**13 // functions))
+
+
 class VectorField(_Relifting):
     """The paper's three steps: A = log(K) / dt (15), F = W psi, and F is integrated while the input is held.
 
@@ -134,9 +142,27 @@ class VectorField(_Relifting):
             # R^T R = Psi_x^T Psi_x, so |W R^T| is the root mean square of W psi over the data, up to a factor.
             size = np.linalg.norm(by_coordinates @ R.T, axis=1)
             model.field_disagreement_ = np.linalg.norm((model.W_ - by_coordinates) @ R.T, axis=1) / size
+        self._choose_substeps(model, scaled)
+
+    def _choose_substeps(self, model, scaled):
+        """Steps whose error is nothing beside the model's own; fewer where each is dear.
+
+        No mode of log(K) decays faster than by a factor of 1e-16 per sample, which a rounding unit beside the norm of K
+        is: ``|A| dt`` is 37 at most, and 16 steps are stable up to 16 x 2.78 = 44. More are for accuracy alone.
+        """
         x, u = (np.concatenate(part) for part in zip(*scaled))
-        sample = np.linspace(0, len(x) - 1, min(len(x), 2000)).astype(int)
-        model.substeps_ = rollout.enough_substeps(self.map(model), x[sample].T, u[sample].T, model.dt_)
+        functions, own = len(model.names_), len(model.state_names_)
+        sample = np.linspace(0, len(x) - 1, min(len(x), 2000 if functions <= _DEAR else 500)).astype(int)
+        tolerable = np.full((x.shape[1], 1), np.inf)  # earlier samples are shifted, not predicted
+        tolerable[:own, 0] = _SHARE * model.residual_[1 : 1 + own]
+        steps = rollout.enough_substeps(
+            self.map(model), x[sample].T, u[sample].T, model.dt_, most=_most_substeps(functions), tolerable=tolerable
+        )
+        model.substeps_ = steps.count
+        if not steps.enough:
+            far = f"by {steps.moved:.1g} half-ranges" if np.isfinite(steps.moved) else "without bounds"
+            how = f"ended at {steps.count} per sample, where halving them moves one prediction in ten {far} or more"
+            model.unsettled_.append(f"the choice of Runge-Kutta steps {how}")
 
     def map(self, model):
         """The rates of all states in 1/s."""
