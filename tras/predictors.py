@@ -14,8 +14,9 @@ from tras.hull import Hull
 from tras.solver import prediction_error
 from tras.solver.stability import stable_change
 
-_SHARE = 0.01  # of a model's misfit over one sample: what the integration may add to it
-_DEAR = 320  # functions; a field of more is tried at fewer points
+# Of the choice of steps per sample: functions of a field that is cheap, values of functions at a time, and the share of
+# a model's misfit over one sample that the integration of a dear field may add to it.
+_CHEAP, _VALUES, _SHARE = 128, 640_000, 0.01
 
 
 class Map(NamedTuple):
@@ -114,11 +115,6 @@ class _Relifting:
         return advance
 
 
-def _most_substeps(functions):
-    """64 steps per sample for a field of 128 functions, in inverse proportion for more, but 16 in any case."""
-    return max(16, min(64, 2**13 // functions))
-
-
 class VectorField(_Relifting):
     """The paper's three steps: A = log(K) / dt (15), F = W psi, and F is integrated while the input is held.
 
@@ -145,23 +141,25 @@ class VectorField(_Relifting):
         self._choose_substeps(model, scaled)
 
     def _choose_substeps(self, model, scaled):
-        """Steps whose error is nothing beside the model's own; fewer where each is dear.
+        """As many steps per sample as move nothing any more; of a dear field, as its own error is worth, 16 at most.
 
-        No mode of log(K) decays faster than by a factor of 1e-16 per sample, which a rounding unit beside the norm of K
-        is: ``|A| dt`` is 37 at most, and 16 steps are stable up to 16 x 2.78 = 44. More are for accuracy alone.
+        No mode of log(K) decays by more than 1e-16 per sample, which is what rounding leaves of the norm of K: ``|A|
+        dt`` is 37 there, and 16 steps are stable up to 16 x 2.78 = 44. More are for accuracy alone.
         """
         x, u = (np.concatenate(part) for part in zip(*scaled))
         functions, own = len(model.names_), len(model.state_names_)
-        sample = np.linspace(0, len(x) - 1, min(len(x), 2000 if functions <= _DEAR else 500)).astype(int)
+        sample = np.linspace(0, len(x) - 1, min(len(x), 2000, _VALUES // functions)).astype(int)
+        points = x[sample].T, u[sample].T
+        if functions <= _CHEAP:
+            model.substeps_ = rollout.enough_substeps(self.map(model), *points, model.dt_).count
+            return
         tolerable = np.full((x.shape[1], 1), np.inf)  # earlier samples are shifted, not predicted
         tolerable[:own, 0] = _SHARE * model.residual_[1 : 1 + own]
-        steps = rollout.enough_substeps(
-            self.map(model), x[sample].T, u[sample].T, model.dt_, most=_most_substeps(functions), tolerable=tolerable
-        )
+        steps = rollout.enough_substeps(self.map(model), *points, model.dt_, most=16, tolerable=tolerable)
         model.substeps_ = steps.count
         if not steps.enough:
             far = f"by {steps.moved:.1g} half-ranges" if np.isfinite(steps.moved) else "without bounds"
-            how = f"ended at {steps.count} per sample, where halving them moves one prediction in ten {far} or more"
+            how = f"ended at {steps.count} per sample; the last doubling moved one prediction in 100 {far} or more"
             model.unsettled_.append(f"the choice of Runge-Kutta steps {how}")
 
     def map(self, model):
