@@ -137,7 +137,9 @@ class VectorField(_Relifting):
             model.W_ = generator.field_by_least_squares(model.generator, model.dictionary_, scaled, R)
             # R^T R = Psi_x^T Psi_x, so |W R^T| is the root mean square of W psi over the data, up to a factor.
             size = np.linalg.norm(by_coordinates @ R.T, axis=1)
-            model.field_disagreement_ = np.linalg.norm((model.W_ - by_coordinates) @ R.T, axis=1) / size
+            apart = np.linalg.norm((model.W_ - by_coordinates) @ R.T, axis=1)
+            size[size == 0] = apart[size == 0]  # a state that stands still by its coordinates: all of it, or nothing
+            model.field_disagreement_ = np.divide(apart, size, out=np.zeros_like(apart), where=apart > 0)
         self._choose_substeps(model, scaled)
 
     def _choose_substeps(self, model, scaled):
