@@ -112,12 +112,12 @@ def enough_substeps(
     dt: float,
     tolerance: float = 1e-8,
     most: int = 64,
-    tolerable: float | np.ndarray = 0.0,
+    tolerable: float | np.ndarray | None = None,
 ) -> Substeps:
     """Doubled until halving the step moves no prediction over one sample by more than ``tolerance`` of a half-range.
 
-    From 8 on it is enough that it moves 99 predictions of 100 by ``tolerable`` at most, a number or one per state, (n,
-    1), and none by a hundredth of a half-range. A field has a kink at the hull's edge, where steps of any order
+    With ``tolerable``, a number or one per state, (n, 1), 8 are enough if it moves 99 predictions of 100 by no more than
+    that, and none by a hundredth of a half-range. A field has a kink at the hull's edge, where steps of any order
     converge slowly: the few predictions that cross it would ask for many steps in all. There are at most ``most``.
     """
     substeps, coarse = 1, runge_kutta(field, z, u, dt, 1)
@@ -125,11 +125,13 @@ def enough_substeps(
     while not enough and 2 * substeps <= most:
         fine = runge_kutta(field, z, u, dt, 2 * substeps)
         change = np.abs(fine - coarse)
-        # All of it is False for NaN: a prediction that runs away by coarse steps may stay by finer ones.
-        near = (change <= tolerable).all(axis=0).mean() >= _MANY and (change <= np.maximum(tolerable, _GROSS)).all()
-        enough = bool(change.max() <= tolerance or (substeps >= _FEW and near))
+        enough = bool(change.max() <= tolerance)
+        if tolerable is not None and substeps >= _FEW:
+            # All of it is False for NaN: a prediction that runs away by coarse steps may stay by finer ones.
+            many = (change <= tolerable).all(axis=0).mean() >= _MANY
+            enough |= bool(many and (change <= np.maximum(tolerable, _GROSS)).all())
         if not enough:
             substeps, coarse = 2 * substeps, fine
-            matters = np.where(np.isfinite(tolerable), change, 0).max(axis=0)
-            moved = float(np.quantile(matters, _MANY))
+            matters = change if tolerable is None else np.where(np.isfinite(tolerable), change, 0)
+            moved = float(np.quantile(matters.max(axis=0), _MANY))
     return Substeps(substeps, enough, moved)
