@@ -211,6 +211,8 @@ def test_one_prediction_that_runs_away_asks_for_all_steps(rate):
     rates[0, 500] = rate  # 32 steps are not stable there, 64 are
     steps = rollout.enough_substeps(lambda p: p[1:] * p[:1], z, rates, 1.0, tolerable=1e-5)
     assert steps[:2] == (64, False)
+    z[0, 500], rates[0, 500] = 1e-12, -50  # by 8 steps it grows to a few half-ranges, by 16 it does not
+    assert rollout.enough_substeps(lambda p: p[1:] * p[:1], z, rates, 1.0, tolerable=1e-5)[:2] == (16, True)
 
 
 def test_a_row_that_does_not_matter_asks_for_no_steps():

@@ -116,8 +116,8 @@ def enough_substeps(
 ) -> Substeps:
     """Doubled until halving the step moves no prediction over one sample by more than ``tolerance`` of a half-range.
 
-    With ``tolerable``, a number or one per state, (n, 1), 8 are enough if it moves 99 predictions of 100 by no more than
-    that, and none by a hundredth of a half-range. A field has a kink at the hull's edge, where steps of any order
+    With ``tolerable``, a number or one per state, (n, 1), 8 are enough if it moves 99 predictions of 100 by that much
+    at most, and none by a hundredth of a half-range. A field has a kink at the hull's edge, where steps of any order
     converge slowly: the few predictions that cross it would ask for many steps in all. There are at most ``most``.
     """
     substeps, coarse = 1, runge_kutta(field, z, u, dt, 1)
