@@ -25,7 +25,7 @@ from tras.workflow.arguments import short
 
 _MATRICES = 40  # of N by N numbers: the solver's, and those of a logarithm
 _SPARSE, _STABLE = 6, 2  # so many times fewer functions are allowed with these searches, which take longer
-_AT_ONCE, _AHEAD = 4, 2  # times `max_functions`: coefficients of a field by least squares, and of a horizon above 1
+_AT_ONCE, _AHEAD = 3, 2  # times `max_functions`: coefficients of a field by least squares, and of a horizon above 1
 WINDOW = 501  # samples of a roll-out, at most
 
 
