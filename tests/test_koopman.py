@@ -216,6 +216,15 @@ def test_vector_field_of_a_polynomial_system_with_input():
     assert f"x2 {100 * expected[1]:.2g} %" in model.report()
 
 
+def test_a_field_that_stands_still_by_either_way_differs_by_nothing():
+    """Everything is truncated: K is the identity, and both fields are zero."""
+    recording = tras.Recording(np.random.default_rng(0).normal(size=(5, 100, 2)), dt=0.1)
+    options = {"field": "least_squares", "regularization": "truncated", "strength": 1.0}
+    model = tras.KoopmanModel(tras.Monomials(2), **options).fit(recording)
+    assert not model.W_.any() and not model.field_disagreement_.any()
+    assert "nan" not in model.report()
+
+
 def test_vector_field_least_squares_is_equation_18_solved_densely():
     """The whitened normal equations against one big dense least squares, every row of (18) written out."""
     rng = np.random.default_rng(0)

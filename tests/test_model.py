@@ -13,7 +13,7 @@ from sklearn.base import clone
 from sklearn.model_selection import GridSearchCV
 
 import tras
-from tras import metrics
+from tras import metrics, predictors, rollout
 from tras.paper import operators
 
 A2, B2 = [[0, 1], [-2, -0.5]], [[0], [1]]
@@ -87,6 +87,64 @@ def test_slow_sampling_gets_more_steps():
     model = tras.KoopmanModel(tras.Monomials(1)).fit(recording)
     assert model.substeps_ > 1
     assert np.abs(model.predict(recording) - recording.states).max() <= 1e-5
+
+
+DEAR = tras.KoopmanModel(tras.GaussianRBF(150, width="auto", centres="kmeans"), delays=2, strength=0.1)
+
+
+@pytest.fixture(scope="module")
+def bent():
+    """Two coupled states with some noise, two inputs: with delays much of it lies at the hull's edge."""
+    rng = np.random.default_rng(0)
+    u, x = np.repeat(rng.uniform(-1, 1, (6, 40, 2)), 7, axis=1), np.zeros((6, 280, 2))
+    A, B = np.array([[0.95, 0.1], [-0.1, 0.9]]), np.array([[0.1, 0.05], [0.0, 0.2]])
+    for k in range(279):
+        x[:, k + 1] = x[:, k] @ A.T + u[:, k] @ B + 0.1 * np.sin(3 * x[:, k])
+    return tras.Recording(x + rng.normal(0, 0.003, x.shape), u, 0.01)
+
+
+def test_a_dear_field_takes_no_more_steps_than_its_own_error_is_worth(bent, monkeypatch):
+    tried, lifts, choose, fill = [], [], rollout.enough_substeps, tras.GaussianRBF._fill
+
+    def counted(field, *points, **options):
+        tried.append(choose(field, *points).count)  # what was asked for without regard to the model's own error
+        lifts.clear()
+        steps = choose(field, *points, **options)
+        tried.append(sum(shape[0] * shape[1] for shape in lifts))
+        return steps
+
+    def filled(self, psi, z):
+        lifts.append(psi.shape)
+        fill(self, psi, z)
+
+    monkeypatch.setattr(tras.GaussianRBF, "_fill", filled)
+    monkeypatch.setattr(rollout, "enough_substeps", counted)
+    model = clone(DEAR).fit(bent)
+    assert len(model.names_) > 128 and tried[0] == 64 and model.substeps_ == 8 and model.unsettled_ == []
+    assert tried[1] <= 4 * (1 + 2 + 4 + 8 + 16) * 640_000
+    lifts.clear()
+    predicted = np.asarray(model.predict(bent))
+    assert len(lifts) == 4 * 8 * (280 - 3)
+    model.substeps_ = 64
+    finer = np.asarray(model.predict(bent))
+    misses = [np.sqrt(np.mean((states - finer) ** 2)) for states in (bent.states, predicted)]
+    assert misses[1] < 1e-3 * misses[0]
+
+
+def test_a_choice_of_steps_that_ends_by_its_count_says_so(bent, monkeypatch, tmp_path):
+    monkeypatch.setattr(predictors, "_SHARE", 1e-9)
+    model = clone(DEAR).fit(bent)
+    assert model.substeps_ == 16 and len(model.unsettled_) == 1
+    assert "the choice of Runge-Kutta steps ended at 16 per sample; the last doubling moved one" in model.report()
+    model.save(tmp_path / "model.npz")
+    assert tras.load_model(tmp_path / "model.npz").unsettled_ == model.unsettled_
+
+
+def test_a_cheap_field_takes_all_steps_that_move_anything(bent, monkeypatch):
+    """Whatever it misses: the paper's models keep their steps."""
+    monkeypatch.setattr(predictors, "_SHARE", 1e9)
+    model = clone(DEAR).set_params(dictionary__n_centres=100).fit(bent)
+    assert len(model.names_) <= 128 and model.substeps_ == 64 and model.unsettled_ == []
 
 
 @settings(max_examples=8, deadline=None)

@@ -8,7 +8,7 @@ import zipfile
 import numpy as np
 import pytest
 from conftest import at
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tras
@@ -297,6 +297,7 @@ KINDS = st.one_of(
 )
 
 
+@settings(deadline=None)
 @given(KINDS, st.sampled_from([2, 4]), st.integers(0, 3))
 def test_functions_are_counted_before_they_are_built(dictionary, n, m):
     if getattr(dictionary, "shape", None) and 2 in dictionary.shape and n == 2:

@@ -179,14 +179,55 @@ def test_runge_kutta_has_order_four():
 def test_enough_substeps_are_enough_and_not_many_more():
     rng = np.random.default_rng(0)
     z, u = rng.uniform(-1, 1, (2, 100)), rng.uniform(-1, 1, (1, 100))
-    counts = [rollout.enough_substeps(pendulum, z, u, dt) for dt in (0.001, 0.1, 0.5, 1.0)]
+    counts = [rollout.enough_substeps(pendulum, z, u, dt).count for dt in (0.001, 0.1, 0.5, 1.0)]
     assert counts[0] == 1 and counts == sorted(counts) and counts[-1] > 1
     for dt, count in zip((0.1, 0.5, 1.0), counts[1:]):
         exact = rollout.runge_kutta(pendulum, z, u, dt, 1024)
         assert np.abs(rollout.runge_kutta(pendulum, z, u, dt, count) - exact).max() <= 2e-8
         if count > 1:
             assert np.abs(rollout.runge_kutta(pendulum, z, u, dt, count // 2) - exact).max() > 1e-9
-    assert rollout.enough_substeps(lambda p: -1e3 * p[:2], z, u, 1.0, most=8) == 8
+    assert rollout.enough_substeps(lambda p: -1e3 * p[:2], z, u, 1.0, most=8).count == 8
+
+
+def edge(point):
+    """Drifts upwards, and bends at 0.5: what starts just below crosses the bend."""
+    return 0.01 - np.maximum(point[:1] - 0.5, 0)
+
+
+def test_a_few_predictions_across_a_kink_ask_for_no_more_steps():
+    z, u = np.linspace(-1, 1, 2001)[None], np.empty((0, 2001))
+    exact = rollout.enough_substeps(edge, z, u, 1.0)
+    assert exact.count == 64 and not exact.enough and exact.moved < 1e-8  # the others are long settled
+    counts = [rollout.enough_substeps(edge, z, u, 1.0, tolerable=share)[:2] for share in (1e-9, 1e-6, 1.0)]
+    assert counts[1:] == [(8, True), (8, True)] and counts[0][0] > 8
+    crossing = np.linspace(0.49, 0.5, 100)[None]
+    assert rollout.enough_substeps(edge, crossing, u[:, :100], 1.0, tolerable=1e-7).count > 8
+
+
+@pytest.mark.parametrize("rate", [-150.0, np.nan])
+def test_one_prediction_that_runs_away_asks_for_all_steps(rate):
+    z, rates = np.ones((1, 1000)), np.full((1, 1000), -1.0)
+    assert rollout.enough_substeps(lambda p: p[1:] * p[:1], z, rates, 1.0, tolerable=1e-5)[:2] == (8, True)
+    rates[0, 500] = rate  # 32 steps are not stable there, 64 are
+    steps = rollout.enough_substeps(lambda p: p[1:] * p[:1], z, rates, 1.0, tolerable=1e-5)
+    assert steps[:2] == (64, False)
+    z[0, 500], rates[0, 500] = 1e-12, -50  # by 8 steps it grows to a few half-ranges, by 16 it does not
+    assert rollout.enough_substeps(lambda p: p[1:] * p[:1], z, rates, 1.0, tolerable=1e-5)[:2] == (16, True)
+
+
+def test_a_row_that_does_not_matter_asks_for_no_steps():
+    z, u = np.ones((2, 50)), np.empty((0, 50))
+    rates = np.array([[-1.0], [-20.0]])
+    assert rollout.enough_substeps(lambda p: rates * p, z, u, 1.0).count == 32
+    steps = rollout.enough_substeps(lambda p: rates * p, z, u, 1.0, tolerable=np.array([[1e-5], [np.inf]]))
+    assert steps == (8, True, steps.moved) and steps.moved < 1e-3
+
+
+def test_sixteen_steps_are_stable_for_whatever_a_logarithm_holds():
+    decay, turn = np.log(np.finfo(float).eps), np.pi  # a mode as small as rounding, a turn by half a circle
+    A = np.array([[decay, turn], [-turn, decay]])
+    after = rollout.runge_kutta(lambda p: A @ p, np.eye(2), np.empty((0, 2)), 1.0, 16)
+    assert np.linalg.norm(after, 2) < 1
 
 
 def test_roll_out_abandons_only_what_left():

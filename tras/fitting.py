@@ -25,7 +25,7 @@ from tras.workflow.arguments import short
 
 _MATRICES = 40  # of N by N numbers: the solver's, and those of a logarithm
 _SPARSE, _STABLE = 6, 2  # so many times fewer functions are allowed with these searches, which take longer
-_AT_ONCE = 4  # times `max_functions`: coefficients of a field by least squares
+_AT_ONCE, _AHEAD = 3, 2  # times `max_functions`: coefficients of a field by least squares, and of a horizon above 1
 WINDOW = 501  # samples of a roll-out, at most
 
 
@@ -182,15 +182,21 @@ def _require_few(options, predictor, recording):
         functions = options.dictionary.count_of(states, inputs)
         _require_at_most(options, functions)
         if options.field == "least_squares" and options.predictor == "vector_field":
-            most = _AT_ONCE * options.max_functions
-            if states * functions > most:
-                raise ValueError(
-                    f"field is 'least_squares', which solves for {states} x {functions} coefficients at once, more "
-                    f"than {_AT_ONCE} times max_functions={options.max_functions}; use field='coordinates', or a "
-                    "smaller dictionary."
-                )
+            cause = "field is 'least_squares'", "field='coordinates'"
+            _require_few_coefficients(options, states, functions, _AT_ONCE, *cause)
+        if options.horizon > 1:
+            cause = f"horizon is {options.horizon}", "horizon=1"
+            _require_few_coefficients(options, recording.n, functions, _AHEAD, *cause)
     else:
         _require_at_most(options, 1 + states + inputs)
+
+
+def _require_few_coefficients(options, states, functions, share, cause, remedy):
+    if states * functions > share * options.max_functions:
+        raise ValueError(
+            f"{cause}, which solves for {states} x {functions} coefficients at once, more than {share} times "
+            f"max_functions={options.max_functions}; use {remedy}, or a smaller dictionary."
+        )
 
 
 def _require_at_most(options, functions):

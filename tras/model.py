@@ -92,7 +92,8 @@ class KoopmanModel(Estimator):
     horizon : int
         With ``one_step``: the samples over which predictions are fitted. 1 is least squares, the fit of single steps;
         with more the states' columns of K go on from there, by Gauss-Newton steps, to those whose predictions over so
-        many samples miss least (`tras.solver.prediction_error`). The other columns stay.
+        many samples miss least (`tras.solver.prediction_error`). The other columns stay. Of states times functions
+        there may be twice ``max_functions``.
     max_functions : int
         More functions are refused before anything is lifted: time grows with their cube, memory with their square, and
         a degree, delays and many channels multiply. A thousand take up to a minute and 0.6 GB. With ``stable`` half as
@@ -113,6 +114,11 @@ class KoopmanModel(Estimator):
         Its numerical rank, at most N.
     strength_ : float
         The strength used.
+    substeps_ : int
+        Runge-Kutta steps per sample, for ``vector_field``: so many that twice as many move no prediction over one
+        sample by 1e-8 of a half-range, 64 at most. With more than 128 functions the misfit decides: twice as many move
+        99 predictions of 100 by less than a hundredth of it; 8 to 16, or fewer if 1e-8 is met. A larger number may be
+        assigned.
     unsettled_ : list of str
         Searches of `fit` that ended by their count of iterations, one sentence each; empty when all came to their end.
     errors_ : dict
@@ -137,6 +143,7 @@ class KoopmanModel(Estimator):
     condition_number: float
     rank_: int
     strength_: float
+    substeps_: int
     unsettled_: list[str]
     errors_: dict[float, float]
     dictionary_: Dictionary

@@ -14,6 +14,10 @@ from tras.hull import Hull
 from tras.solver import prediction_error
 from tras.solver.stability import stable_change
 
+# Of the choice of steps per sample: values of functions at a time, and the share of a model's misfit over one sample
+# that the integration of a dear field may add to it.
+_VALUES, _SHARE = 640_000, 0.01
+
 
 class Map(NamedTuple):
     """``matrix psi(P z) + outward (z - P z)`` in scaled channels, P onto the hull; without a hull ``matrix psi(z)``."""
@@ -133,10 +137,32 @@ class VectorField(_Relifting):
             model.W_ = generator.field_by_least_squares(model.generator, model.dictionary_, scaled, R)
             # R^T R = Psi_x^T Psi_x, so |W R^T| is the root mean square of W psi over the data, up to a factor.
             size = np.linalg.norm(by_coordinates @ R.T, axis=1)
-            model.field_disagreement_ = np.linalg.norm((model.W_ - by_coordinates) @ R.T, axis=1) / size
+            apart = np.linalg.norm((model.W_ - by_coordinates) @ R.T, axis=1)
+            size[size == 0] = apart[size == 0]  # a state that stands still by its coordinates: all of it, or nothing
+            model.field_disagreement_ = np.divide(apart, size, out=np.zeros_like(apart), where=apart > 0)
+        self._choose_substeps(model, scaled)
+
+    def _choose_substeps(self, model, scaled):
+        """As many steps per sample as move nothing any more; of a dear field, as its own error is worth, 16 at most.
+
+        No mode of log(K) decays by more than 1e-16 per sample, which is what rounding leaves of the norm of K: ``|A|
+        dt`` is 37 there, and 16 steps are stable up to 16 x 2.78 = 44. More are for accuracy alone.
+        """
         x, u = (np.concatenate(part) for part in zip(*scaled))
-        sample = np.linspace(0, len(x) - 1, min(len(x), 2000)).astype(int)
-        model.substeps_ = rollout.enough_substeps(self.map(model), x[sample].T, u[sample].T, model.dt_)
+        functions, own = len(model.names_), len(model.state_names_)
+        sample = np.linspace(0, len(x) - 1, min(len(x), 2000, _VALUES // functions)).astype(int)
+        points = x[sample].T, u[sample].T
+        if functions <= rollout.CHEAP:
+            model.substeps_ = rollout.enough_substeps(self.map(model), *points, model.dt_).count
+            return
+        tolerable = np.full((x.shape[1], 1), np.inf)  # earlier samples are shifted, not predicted
+        tolerable[:own, 0] = _SHARE * model.residual_[1 : 1 + own]
+        steps = rollout.enough_substeps(self.map(model), *points, model.dt_, most=16, tolerable=tolerable)
+        model.substeps_ = steps.count
+        if not steps.enough:
+            far = f"by {steps.moved:.1g} half-ranges" if np.isfinite(steps.moved) else "without bounds"
+            how = f"ended at {steps.count} per sample; the last doubling moved one prediction in 100 {far} or more"
+            model.unsettled_.append(f"the choice of Runge-Kutta steps {how}")
 
     def map(self, model):
         """The rates of all states in 1/s."""

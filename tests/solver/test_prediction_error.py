@@ -143,3 +143,29 @@ def test_what_cannot_be_is_refused():
     model = tras.KoopmanModel(tras.Monomials(1), "one_step", horizon=20).fit(log)
     with pytest.raises(ValueError, match="horizon is 20, which needs all data at once"):
         model.partial_fit(log)
+
+
+def test_many_predictions_are_taken_a_few_at_a_time(monkeypatch):
+    segments, W, lift, slopes, later = polynomial()
+    whole, errors = prediction_error.improved(W, W, segments, lift, slopes, later, 2)
+    widths = []
+
+    def watched(z, u):
+        widths.append(z.shape[1])
+        return lift(z, u)
+
+    monkeypatch.setattr(prediction_error, "_AT_ONCE", 7 * 4 * W.size)  # derivatives of the 4 states in z by W
+    pieces, again = prediction_error.improved(W, W, segments, watched, slopes, later, 2)
+    assert set(widths) == {7, 6}  # of 20
+    assert np.allclose(pieces, whole, rtol=0, atol=1e-10) and np.allclose(again, errors, rtol=1e-10)
+
+
+def test_too_many_coefficients_at_once_are_refused_before_anything_is_lifted(monkeypatch):
+    log = tras.Recording(np.random.default_rng(0).uniform(-1, 1, (5, 50, 3)), dt=0.1)
+    model = tras.KoopmanModel(tras.Monomials(2), "one_step", horizon=5, max_functions=15)
+    assert model.fit(log).refinement_ is not None  # 3 x 10 coefficients, twice as many as functions
+    monkeypatch.setattr(tras.Monomials, "lift", None)
+    with pytest.raises(
+        ValueError, match="horizon is 5, .* 3 x 10 coefficients at once, .* max_functions=14; use horiz"
+    ):
+        model.set_params(max_functions=14).fit(log)

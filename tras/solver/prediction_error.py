@@ -16,6 +16,7 @@ _PULL = 1e-3  # towards the usual coefficients, a square of theirs over one of a
 _FAR = 30.0  # half-ranges, from which on a prediction has run away
 _DAMPING = 1e-4, 1e6  # at the start, and where no step is left
 _WORK = 3e8  # products of sensitivities per iteration, at most; beyond, segments are left out
+_AT_ONCE = 2**24  # sensitivities of predictions side by side, at most; there are three arrays of them
 
 
 def improved(
@@ -47,6 +48,12 @@ def improved(
         Root mean squares, in the units of the states.
     """
     numbers = sum(states[1:, : len(W)].size for states, _ in segments)
+    batch = max(1, _AT_ONCE // (len(W) * lags * W.size))
+    segments = [
+        (states[..., k : k + batch], inputs[..., k : k + batch])
+        for states, inputs in segments
+        for k in range(0, states.shape[2], batch)
+    ]
     problem = lift, slopes, later, lags
 
     def normal_equations(W):

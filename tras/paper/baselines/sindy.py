@@ -79,7 +79,7 @@ class SINDy(Baseline):
         some = np.linspace(0, len(x) - 1, min(len(x), 2000)).astype(int)
         with np.errstate(over="ignore", invalid="ignore"):
             points = x[some].T, u[some].T
-            self.substeps_ = rollout.enough_substeps(self._field, *points, self.dt_, tolerance=1e-6, most=8)
+            self.substeps_ = rollout.enough_substeps(self._field, *points, self.dt_, tolerance=1e-6, most=8).count
 
     def _field(self, point):
         return self.coefficients_ @ self.lift_(point)
