@@ -188,7 +188,7 @@ class Observer:
         d = self._state[count:]
         return self._state[:count], self.on_inputs @ d, self.on_states @ d
 
-    def begin(self, y):
+    def begin(self, y: np.ndarray) -> None:
         """Nothing is known but the measurement y (measured,), in scaled channels, and it was so before."""
         c = self.channels
         n, count, size = len(c.x_scale), len(c.z_scale), len(self.Q)
