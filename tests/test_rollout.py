@@ -7,6 +7,7 @@ from scipy.linalg import expm
 import tras
 from tras import koopman, rollout
 from tras.hull import Hull, outward_rates, over_a_sample
+from tras.identification.examples import example
 
 BOUNDED = [tras.Monomials(3), tras.Exponentials(), tras.GaussianRBF(20)]
 
@@ -250,3 +251,14 @@ def test_beyond_the_hull_a_model_follows_the_linear_one_of_its_data(columns, tor
     exact = outward_rates(change, 4, model.dt_, 4)
     assert np.allclose(model.outward_, exact, rtol=1e-9, atol=1e-9 * np.abs(exact).max())
     assert np.array_equal(model.outward_step_, over_a_sample(model.outward_, model.dt_))
+
+
+def test_a_coarser_model_predicts_the_same_within_what_a_figure_shows():
+    log = example("duffing", trials=6, noise=0)
+    model = tras.KoopmanModel(tras.Monomials(3)).fit(log)
+    fast = rollout.coarser(model)
+    assert model.substeps_ >= 4 and fast.substeps_ == model.substeps_ // 4
+    difference = np.abs(np.asarray(fast.predict(log)) - np.asarray(model.predict(log))).max()
+    assert 0 < difference < 1e-3
+    stepping = tras.KoopmanModel(tras.Monomials(1), "one_step").fit(log)
+    assert rollout.coarser(stepping) is stepping

@@ -135,3 +135,16 @@ def test_they_are_none_where_the_windows_leave_that_open(ratios, stays):
     assert rows[1]["error"] < rows[0]["error"]
     table = search._without_idle_horizons(pd.DataFrame(rows))
     assert list(table["horizon"]) == ([1, 25] if stays else [1])
+
+
+def test_more_gaussians_are_not_tried_where_few_fail_beside_a_polynomial():
+    def row(dictionary, error):
+        setting = {"states": "as measured", "every": 1, "delays": 0, "lead": 0}
+        return {**setting, "error": error, "model": tras.KoopmanModel(dictionary, "one_step")}
+
+    few, many = tras.GaussianRBF(30), tras.KoopmanModel(tras.GaussianRBF(250), "one_step")
+    rows = [row(tras.Monomials(3), 0.001), row(few, 0.1)]
+    assert search._hopeless(rows, "as measured", 1, many)
+    assert not search._hopeless(rows, "as measured", 2, many)  # another setting
+    assert not search._hopeless([row(tras.Monomials(3), 0.001), row(few, 0.01)], "as measured", 1, many)
+    assert not search._hopeless(rows, "as measured", 1, tras.KoopmanModel(tras.Monomials(4), "one_step"))
