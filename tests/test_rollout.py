@@ -1,11 +1,13 @@
 """Roll-outs and what happens beyond the training data."""
 
+import copy
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 import tras
-from tras import koopman, rollout
+from tras import koopman, metrics, rollout
 from tras.hull import Hull, outward_rates, over_a_sample
 from tras.identification.examples import example
 
@@ -262,3 +264,16 @@ def test_a_coarser_model_predicts_the_same_within_what_a_figure_shows():
     assert 0 < difference < 1e-3
     stepping = tras.KoopmanModel(tras.Monomials(1), "one_step").fit(log)
     assert rollout.coarser(stepping) is stepping
+
+
+def test_a_field_that_runs_away_by_few_steps_is_integrated_by_all(monkeypatch):
+    """As a mode does that is stable with all of them alone."""
+    log = example("duffing", trials=6, noise=0)
+    model = tras.KoopmanModel(tras.Monomials(3)).fit(log)
+    wild = copy.copy(model)
+    wild.W_ = 1e3 * model.W_
+    exact = model.predict(log)
+    assert metrics.diverged(log.states, wild.predict(log)).any()
+    assert not np.array_equal(rollout.predict_coarsely(model, log), exact)
+    monkeypatch.setattr(rollout, "coarser", lambda _: wild)
+    assert np.array_equal(rollout.predict_coarsely(model, log), exact)

@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tras import metrics
+
 STRETCH = 32  # samples between two looks at which predictions have left
 _MOST = 64  # substeps per sample
 CHEAP = 128  # functions of a field whose substeps are chosen by 1e-8 alone
@@ -150,3 +152,12 @@ def coarser(model):
         model = copy.copy(model)
         model.substeps_ = max(1, model.substeps_ // 4)
     return model
+
+
+def predict_coarsely(model, recording):
+    """``model.predict(recording)`` by `coarser`, or by all steps if a prediction runs away: a fast mode may, by few."""
+    fast = coarser(model)
+    runs = fast.predict(recording)
+    if fast is not model and metrics.diverged(recording.states, runs).any():
+        runs = model.predict(recording)
+    return runs

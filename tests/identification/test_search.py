@@ -1,5 +1,7 @@
 """The choice among models: the right one wins, by errors on data that no candidate saw, and failures are told."""
 
+import copy
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -8,6 +10,7 @@ from conftest import linear_system
 import tras
 from tras.fitting import hold_out
 from tras.identification import search
+from tras.identification.examples import example
 
 TORQUES = ["u_phi", "u_psi"]
 
@@ -148,3 +151,19 @@ def test_more_gaussians_are_not_tried_where_few_fail_beside_a_polynomial():
     assert not search._hopeless(rows, "as measured", 2, many)  # another setting
     assert not search._hopeless([row(tras.Monomials(3), 0.001), row(few, 0.01)], "as measured", 1, many)
     assert not search._hopeless(rows, "as measured", 1, tras.KoopmanModel(tras.Monomials(4), "one_step"))
+
+
+def test_a_candidate_that_loses_windows_by_few_steps_is_judged_by_all(monkeypatch):
+    log = example("duffing", trials=6, noise=0.5)
+    model, train, windows = tras.KoopmanModel(tras.Monomials(3)), log[:4], log[4:].cut(51)
+
+    def wild(fitted):
+        copied = copy.copy(fitted)
+        copied.W_ = 1e3 * fitted.W_
+        return copied
+
+    exact = search.attempt(model, train, windows, 0)
+    monkeypatch.setattr(search, "coarser", wild)
+    scores = search.attempt(model, train, windows, 0, coarse=True)
+    assert exact["lost"] == 0 and exact["error"] > search._COARSE
+    assert {name: scores[name] for name in ("error", "lost")} == {name: exact[name] for name in ("error", "lost")}

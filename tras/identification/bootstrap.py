@@ -11,7 +11,7 @@ from sklearn.base import clone
 from tras import metrics
 from tras.model import KoopmanModel
 from tras.recording import Recording, join
-from tras.rollout import coarser
+from tras.rollout import predict_coarsely
 from tras.workflow import arguments
 from tras.workflow.study import each
 
@@ -112,7 +112,7 @@ def prediction_band(ensemble: Sequence[KoopmanModel], recording: Recording, leve
     arguments.number("level", level, 0, 1, ends=False, give="a fraction between 0 and 1, for example 0.9")
     recording = join(recording)
     with np.errstate(over="ignore", invalid="ignore"):  # divergence is put at infinity below
-        runs = [coarser(model).predict(recording) for model in ensemble]
+        runs = [predict_coarsely(model, recording) for model in ensemble]
     lost = [metrics.diverged(recording.states, run) for run in runs]
     bands = []
     for i in range(len(recording)):

@@ -11,7 +11,7 @@ from tras.analysis.residuals import Residuals
 from tras.dictionaries.base import label
 from tras.identification import preparation
 from tras.identification.search import LINEAR_DICTIONARY
-from tras.rollout import coarser
+from tras.rollout import predict_coarsely
 from tras.solver.threads import one_blas_thread
 
 LEVEL = 0.9  # of the band
@@ -200,7 +200,7 @@ def _simulated(model, recording, samples):
             parts.append((x[k : k + d + samples], u[k : k + d + samples]))
     segments = preparation.thinned(recording.with_data(*map(list, zip(*parts))), _SIMULATED)
     with np.errstate(over="ignore", invalid="ignore"):
-        runs = coarser(model).predict(segments)
+        runs = predict_coarsely(model, segments)
     alive = [k for k, run in enumerate(runs) if np.isfinite(run).all()]
     if len(alive) < 0.9 * len(runs):
         return None

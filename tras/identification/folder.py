@@ -17,7 +17,7 @@ from tras.identification.identification import Identification
 from tras.identification.page import write_page
 from tras.plotting import save_figure
 from tras.recording import Recording
-from tras.rollout import coarser
+from tras.rollout import predict_coarsely
 from tras.workflow import page
 from tras.workflow.results import written_together
 from tras.workflow.study import terminal
@@ -188,7 +188,7 @@ def _free_run(identification):
         del models["linear model"]
     longest = int(np.argmax(whole.lengths))
     part = whole[[longest]]
-    runs = {name: np.asarray(coarser(model).predict(part)[0]) for name, model in models.items()}
+    runs = {name: np.asarray(predict_coarsely(model, part)[0]) for name, model in models.items()}
     which = f", trajectory {longest} of {len(whole)}" if len(whole) > 1 else ""
     late = max(model.delays for model in models.values())
     figure = plots.run_figure(part, models.values(), [run[late:] for run in runs.values()], list(models), which=which)

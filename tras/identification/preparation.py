@@ -217,14 +217,15 @@ def _moving(x, whole, edges, wanted):
     chosen = []
 
     def moves(k):
-        left = np.delete(x, np.concatenate([parts[each] for each in (*chosen, k)]), axis=0)
+        left = np.delete(x, np.concatenate([parts[part] for part in (*chosen, k)]), axis=0)
         enough = left.std(axis=0) >= _STILL_MOVES * whole
         return bool((enough & (x[parts[k]].std(axis=0) >= _MOVES * whole)).all())
 
     for wish in wanted:
-        others = [k for k in range(1, len(parts)) if k not in (*chosen, *wanted) and moves(k)]  # a start is learnt from
-        rests = (x[parts[wish]].std(axis=0) < _RESTS * whole).any()
-        chosen.append(min(others, key=lambda k: abs(k - wish)) if rests and others else wish)
+        others = []
+        if (x[parts[wish]].std(axis=0) < _RESTS * whole).any():
+            others = [k for k in range(1, len(parts)) if k not in (*chosen, *wanted) and moves(k)]  # a start is learnt
+        chosen.append(min(others, key=lambda k: abs(k - wish), default=wish))
     return sorted(chosen)
 
 

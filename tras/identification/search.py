@@ -374,7 +374,8 @@ def attempt(
     half_range : (n,) ndarray, optional
         What errors refer to. Default: that of the states in the windows.
     coarse : bool
-        Whether a field is integrated in a quarter of its steps, unless the error is so small that this matters.
+        Whether a field is integrated in a quarter of its steps, unless the error is so small that this matters, or a
+        window is lost by it.
 
     Returns
     -------
@@ -394,7 +395,7 @@ def attempt(
             model.fit(train)
             for each in (coarser(model), model) if coarse else (model,):
                 apart, free, lost, squares = _judged(each, windows, latest, blocks, half_range)
-                if each is model or apart > _COARSE:
+                if each is model or (apart > _COARSE and not lost):  # by few steps a fast mode may run away
                     break
         if measured is not None:
             information = _criteria(model, measured, latest)
